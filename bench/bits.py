@@ -284,19 +284,19 @@ def goes_on(problem: Any, twist: Any, *, dt: float, **options: Any) -> Any:
 
 def digest(result: lierb.Result | list[pa.Table]) -> str:
     """Digest of every number and word of a result's tables, and of its continuation's start."""
-    found = hashlib.sha256()
+    sha = hashlib.sha256()
     is_result = isinstance(result, lierb.Result)
     tables = [result.summary, result.history, result.events] if is_result else result
     for table in tables:
         for name in table.column_names if table is not None else ():
             column = table[name].combine_chunks()
-            found.update(name.encode())
-            found.update(numbers(column))
+            sha.update(name.encode())
+            sha.update(numbers(column))
     goes_on = is_result and set(result.summary["status"].to_pylist()) == {"ok"}
     for name, value in sorted(result.end.items()) if goes_on else ():
         for part in value.values() if isinstance(value, dict) else [value]:
-            found.update(name.encode() + np.asarray(part, dtype=float).tobytes())
-    return found.hexdigest()
+            sha.update(name.encode() + np.asarray(part, dtype=float).tobytes())
+    return sha.hexdigest()
 
 
 def numbers(column: pa.Array) -> bytes:
@@ -308,15 +308,15 @@ def numbers(column: pa.Array) -> bytes:
 
 
 def recorded() -> dict[str, str]:
-    found = {}
+    digests = {}
     for name, run in runs():
-        print(f"\r{len(found):4} {name:70}", end="", file=sys.stderr)
+        print(f"\r{len(digests):4} {name:70}", end="", file=sys.stderr)
         try:
-            found[name] = digest(run())
+            digests[name] = digest(run())
         except LierbError as error:
-            found[name] = f"{type(error).__name__}: {error}"
+            digests[name] = f"{type(error).__name__}: {error}"
     print(file=sys.stderr)
-    return found
+    return digests
 
 
 def main() -> int:
@@ -330,23 +330,23 @@ def main() -> int:
     return act(Path(file), recorded())
 
 
-def record(file: Path, found: dict[str, str]) -> int:
-    file.write_text(json.dumps(found, indent=1, ensure_ascii=False))
-    failed = sum(":" in digest for digest in found.values())
-    print(f"{len(found)} runs, {failed} of them refused")
+def record(file: Path, digests: dict[str, str]) -> int:
+    file.write_text(json.dumps(digests, indent=1, ensure_ascii=False))
+    failed = sum(":" in digest for digest in digests.values())
+    print(f"{len(digests)} runs, {failed} of them refused")
     return 0
 
 
-def compare(file: Path, found: dict[str, str]) -> int:
+def compare(file: Path, digests: dict[str, str]) -> int:
     before = json.loads(file.read_text())
-    shared = before.keys() & found.keys()
-    other = [name for name in found if name in shared and before[name] != found[name]]
+    shared = before.keys() & digests.keys()
+    other = [name for name in digests if name in shared and before[name] != digests[name]]
     for name in other:
         print(f"other bits: {name}")
-    for name in sorted(before.keys() ^ found.keys()):
+    for name in sorted(before.keys() ^ digests.keys()):
         print(f"only {'before' if name in before else 'now'}: {name}")
-    print(f"{len(shared) - len(other)} of {len(found)} runs have the same bits")
-    return int(bool(other) or before.keys() != found.keys())
+    print(f"{len(shared) - len(other)} of {len(digests)} runs have the same bits")
+    return int(bool(other) or before.keys() != digests.keys())
 
 
 if __name__ == "__main__":

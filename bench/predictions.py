@@ -50,13 +50,13 @@ LOOPS = [
 
 def shapes() -> dict[str, samples.Shape]:
     """Mechanisms: trees and loops of the tests, and many of two links."""
-    found = dict(samples.SHAPES)
+    shapes_by_name = dict(samples.SHAPES)
     for first, last in PAIRS:
-        found[f"{first}, {last}"] = samples.Shape(((first, None), (last, 0)))
+        shapes_by_name[f"{first}, {last}"] = samples.Shape(((first, None), (last, 0)))
     for first, last, loop in LOOPS:
         links = ((first, None), (last, 0))
-        found[f"{first}, {last}; {loop}"] = samples.Shape(links, ((loop, 1, None),))
-    return found
+        shapes_by_name[f"{first}, {last}; {loop}"] = samples.Shape(links, ((loop, 1, None),))
+    return shapes_by_name
 
 
 def mechanisms(name: str) -> tuple[lierb.Mechanism, dict[str, Any]]:
@@ -71,13 +71,13 @@ def predicted(name: str) -> dict[str, dict[str, dict[str, bool]]]:
     """Predicted exactness by c-space, joint and kind of error, of the first one of a shape."""
     mechanism, start = mechanisms(name)
     pose0 = {link: pose[0] for link, pose in start["pose0"].items()}
-    found = lierb.predict(mechanism.of_body(0), pose0)
+    predictions = lierb.predict(mechanism.of_body(0), pose0)
     return {
         cspace: {
             joint: {kind: getattr(p, f"{kind}_exact") for kind in KINDS}
             for joint, p in joints.items()
         }
-        for cspace, joints in found.items()
+        for cspace, joints in predictions.items()
     }
 
 
@@ -130,10 +130,10 @@ def compared(name: str) -> dict[str, Any]:
     return found
 
 
-def disagreements(found: dict[str, Any]) -> list[str]:
+def disagreements(verdicts: dict[str, Any]) -> list[str]:
     return [
         f"{cspace} {joint} {kind}: {told}"
-        for cspace, joints in found.items()
+        for cspace, joints in verdicts.items()
         for joint, kinds in joints.items()
         for kind, told in kinds.items()
         if not agrees(told["exact"], told)
@@ -142,20 +142,20 @@ def disagreements(found: dict[str, Any]) -> list[str]:
 
 def main() -> None:
     asked = sys.argv[1:] or list(shapes())
-    found = {
+    results = {
         "time": datetime.now(UTC).isoformat(timespec="seconds").removesuffix("+00:00"),
         "machine": {k: v for k, v in lierb.info().items() if k not in ("cache", "loaded")},
         "method": METHOD, "dt": STEPS, "t_end": T_END, "count": COUNT, "mechanisms": {},
     }  # fmt: skip
     for number, name in enumerate(asked, 1):
-        found["mechanisms"][name] = compared(name)
-        wrong = disagreements(found["mechanisms"][name])
+        results["mechanisms"][name] = compared(name)
+        wrong = disagreements(results["mechanisms"][name])
         print(f"{number}/{len(asked)} {name}: {wrong or 'agrees'}", flush=True)
     if sys.argv[1:]:
         return
-    stamp = found["time"].replace(":", "")
-    path = RESULTS / f"predictions-{stamp}-{found['machine']['cpu']}.json"
-    path.write_text(json.dumps(found, indent=1) + "\n")
+    stamp = results["time"].replace(":", "")
+    path = RESULTS / f"predictions-{stamp}-{results['machine']['cpu']}.json"
+    path.write_text(json.dumps(results, indent=1) + "\n")
     print(f"stored in {path.relative_to(ROOT)}")
 
 

@@ -110,7 +110,7 @@ def by_loop(count: int, t_end: float, threads: int | None) -> Callable[[], np.nd
 
     def run() -> np.ndarray:
         rng = np.random.default_rng(SEED)
-        R, omega, found = given["rotation"], given["omega"], []
+        R, omega, rows = given["rotation"], given["omega"], []
         pose = np.tile(np.eye(4), (count, 1, 1))
         ticks = round(t_end / EVERY)
         for tick in range(ticks):
@@ -126,8 +126,8 @@ def by_loop(count: int, t_end: float, threads: int | None) -> Callable[[], np.nd
             R = _rows(summary["rotation"]).reshape(-1, 3, 3)
             omega = _rows(summary["omega"]).reshape(-1, 3)
             if (tick + 1) % round(1.0 / EVERY) == 0:
-                found.append(percentiles(R, omega))
-        return np.stack(found)
+                rows.append(percentiles(R, omega))
+        return np.stack(rows)
 
     return run
 
@@ -137,8 +137,8 @@ def by_loop(count: int, t_end: float, threads: int | None) -> Callable[[], np.nd
 
 def timed(run: Callable) -> tuple[float, object]:
     began = time.perf_counter()
-    found = run()
-    return time.perf_counter() - began, found
+    result = run()
+    return time.perf_counter() - began, result
 
 
 def same_alone(result: lierb.Result, count: int, t_end: float) -> bool:
@@ -161,25 +161,25 @@ def main() -> None:
     parser.add_argument("--threads", type=int)
     parser.add_argument("--loop-only", action="store_true")
     given = parser.parse_args()
-    found: dict[str, object] = {
+    results: dict[str, object] = {
         "time": datetime.now(UTC).isoformat(timespec="seconds").removesuffix("+00:00"),
         "machine": {k: v for k, v in lierb.info().items() if k != "cache"},
         "count": given.count, "t_end": given.t_end, "threads": given.threads,
     }  # fmt: skip
     by_loop(given.count, 1.0, given.threads)()  # compiles
-    found["loop_s"], last = timed(by_loop(given.count, given.t_end, given.threads))
-    print(f"loop of integrate(): {found['loop_s']:.2f} s; at the end {last[-1].tolist()}")
+    results["loop_s"], last = timed(by_loop(given.count, given.t_end, given.threads))
+    print(f"loop of integrate(): {results['loop_s']:.2f} s; at the end {last[-1].tolist()}")
     if not given.loop_only:
         by_controller(given.count, 1.0, given.threads)()
         run = by_controller(given.count, given.t_end, given.threads)
-        found["controller_s"], (result, last) = timed(run)
-        found["same_bits_alone"] = same_alone(result, given.count, given.t_end)
-        found["percentiles_at_the_end"] = last[-1].tolist()
-        print(f"controller: {found['controller_s']:.2f} s; at the end {last[-1].tolist()}")
-        print(f"the same bits alone: {found['same_bits_alone']}")
-        stamp = str(found["time"]).replace(":", "")
-        path = RESULTS / f"satellites-{stamp}-{found['machine']['cpu']}.json"
-        path.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
+        results["controller_s"], (result, last) = timed(run)
+        results["same_bits_alone"] = same_alone(result, given.count, given.t_end)
+        results["percentiles_at_the_end"] = last[-1].tolist()
+        print(f"controller: {results['controller_s']:.2f} s; at the end {last[-1].tolist()}")
+        print(f"the same bits alone: {results['same_bits_alone']}")
+        stamp = str(results["time"]).replace(":", "")
+        path = RESULTS / f"satellites-{stamp}-{results['machine']['cpu']}.json"
+        path.write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
         print(f"stored in {path}")
 
 

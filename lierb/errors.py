@@ -144,8 +144,8 @@ def unknown_name(argument: str, got: object, known: Iterable[str]) -> UnknownNam
     """Return the error for a name outside `known`, with the nearest one suggested."""
     names = list(known)
     lowered = {name.lower(): name for name in names}
-    asked = got[:100].lower() if isinstance(got, str) else ""
-    near = get_close_matches(asked, list(lowered), n=1, cutoff=0.4)
+    text = got[:100].lower() if isinstance(got, str) else ""
+    near = get_close_matches(text, list(lowered), n=1, cutoff=0.4)
     hint = f" Did you mean {lowered[near[0]]!r}?" if near else ""
     return UnknownNameError(
         f"{argument}={brief(got)} is unknown; choose from {', '.join(names)}.{hint}"

@@ -446,15 +446,15 @@ def test_player_computes_as_python_does():
         "a:p.poseAt(g.poses,0,0.25),s:p.shown(g.view,1,0,8),n:[1,3,7.2,0.02].map(p.nice)}))"
     )
     done = subprocess.run([NODE, "-e", script], capture_output=True, text=True, check=True)
-    found = json.loads(done.stdout)
-    np.testing.assert_allclose(np.reshape(found["r"], (3, 3)), turned(xi), atol=1e-15)
-    assert found["m"] == [[0, 0], [0, 0], [0, 0.5], [1, 0], [1, 0.5], [2, 0], [2, 0]]
-    assert found["n"] == [1, 2, 5, 0.02]
-    np.testing.assert_allclose(found["a"]["p"], 0.75 * places[0] + 0.25 * places[1])
+    answer = json.loads(done.stdout)
+    np.testing.assert_allclose(np.reshape(answer["r"], (3, 3)), turned(xi), atol=1e-15)
+    assert answer["m"] == [[0, 0], [0, 0], [0, 0.5], [1, 0], [1, 0.5], [2, 0], [2, 0]]
+    assert answer["n"] == [1, 2, 5, 0.02]
+    np.testing.assert_allclose(answer["a"]["p"], 0.75 * places[0] + 0.25 * places[1])
     sign = np.sign(quaternions[0] @ quaternions[1])
     between = 0.75 * quaternions[0] + 0.25 * sign * quaternions[1]
-    np.testing.assert_allclose(np.reshape(found["a"]["m"], (3, 3)), matrix_of(between), atol=1e-15)
-    (body,), (held,) = found["s"]["bodies"], found["s"]["joints"]
+    np.testing.assert_allclose(np.reshape(answer["a"]["m"], (3, 3)), matrix_of(between), atol=1e-15)
+    (body,), (held,) = answer["s"]["bodies"], answer["s"]["joints"]
     rotation = turned(7 * gap[:3]) @ matrix_of(quaternions[1])  # seven gaps are added
     point = matrix_of(quaternions[1]) @ frame[:3, 3] + places[1]
     np.testing.assert_allclose(np.reshape(body["m"], (3, 3)), rotation, atol=1e-14)

@@ -287,12 +287,12 @@ print(json.dumps({"lanes": told, "columns": columns}))
 
 @pytest.mark.slow  # two processes that compile; other widths: test_bits_do_not_depend_on_lanes
 def test_lierb_lanes_sets_the_width_and_changes_no_bit(copy):
-    found = {lanes: copy.run(BATCH, LIERB_LANES=str(lanes)) for lanes in (1, 4)}
-    for lanes, told in found.items():
+    runs = {lanes: copy.run(BATCH, LIERB_LANES=str(lanes)) for lanes in (1, 4)}
+    for lanes, told in runs.items():
         assert told["lanes"] == lanes
-        assert told["columns"] == found[1]["columns"], lanes
+        assert told["columns"] == runs[1]["columns"], lanes
     # one cache for all of them: a process with another L must not find the first one's code
-    assert copy.run(BATCH, LIERB_LANES="4") == found[4]
+    assert copy.run(BATCH, LIERB_LANES="4") == runs[4]
 
 
 @pytest.mark.slow
@@ -401,14 +401,14 @@ class Recorder(pickle.Unpickler):
 
 def needed_packages(folder):
     """Requirements for reading the cache's files."""
-    found = set()
+    imported = set()
     for path in folder.rglob("*.nbc"):
         content = path.read_bytes()[sealed.DIGEST_SIZE :]
         recorder = Recorder(io.BytesIO(content.partition(b"\0")[2]))
         recorder.load()
-        found |= recorder.packages
-    assert "numba" in found
-    return found
+        imported |= recorder.packages
+    assert "numba" in imported
+    return imported
 
 
 SPRING = """
@@ -455,8 +455,8 @@ def product(tag, x):
 def computed(factor):
     """factor · 2 by a new dispatcher, as a new process has it, and whether that was loaded."""
     dispatcher = cached()(product)
-    found = compiled(dispatcher, Times(factor), 2.0)(Times(factor), 2.0)
-    return found, bool(dispatcher.stats.cache_hits)
+    value = compiled(dispatcher, Times(factor), 2.0)(Times(factor), 2.0)
+    return value, bool(dispatcher.stats.cache_hits)
 
 
 def cut(size, *files):
@@ -610,8 +610,8 @@ def sized(tag, x):
 
 def test_code_is_found_by_its_tag_and_its_arguments_types():
     dispatcher, tag = cached()(doubled), Times(1.0)
-    found = [compiled(dispatcher, tag, x)(tag, x) for x in (3.0, 3, 3.0)]
-    assert list(map(type, found)) == [float, int, float]
+    values = [compiled(dispatcher, tag, x)(tag, x) for x in (3.0, 3, 3.0)]
+    assert list(map(type, values)) == [float, int, float]
     dispatcher = cached()(sized)  # for no code that is kept makes an array
     rows = [np.ones((2, 2)), np.ones((2, 1)), np.ones((2, 2), order="F"), np.ones(2)]
     entered = [entries.entry_of(dispatcher, tag, row) for row in rows]
@@ -669,6 +669,6 @@ INTERRUPTED = "import json\n" + INTERRUPTED
 def test_interrupted_compilation_leaves_the_next_call_right(copy, kind, after):
     if not hasattr(signal, "setitimer"):
         pytest.skip("no timers of signals here")
-    outcome, found = copy.run(INTERRUPTED, kind, str(after))
+    outcome, values = copy.run(INTERRUPTED, kind, str(after))
     assert outcome in {"result", {"SIGINT": "KeyboardInterrupt", "SIGALRM": "Alarm"}[kind]}
-    assert found == [1.0, 1.0]
+    assert values == [1.0, 1.0]

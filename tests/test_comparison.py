@@ -129,9 +129,9 @@ def test_median_is_that_of_the_trajectories(exact):
 @pytest.mark.parametrize("angle", [0.0, 1e-12, 1e-3, 2.0, np.pi])
 def test_angle_keeps_its_digits(angle):
     turned = rotation(*(angle * np.array([2, -1, 2]) / 3.0))
-    (found,) = reference._angle(np.eye(3)[None], turned[None])
+    (measured,) = reference._angle(np.eye(3)[None], turned[None])
     # 1e-12 itself has four digits in a matrix with ones; at π the sine is flat: half of the digits
-    assert found == pytest.approx(angle, rel=1e-9, abs=1e-7 if angle > 3.0 else 4e-16)
+    assert measured == pytest.approx(angle, rel=1e-9, abs=1e-7 if angle > 3.0 else 4e-16)
 
 
 def test_a_mechanism_takes_cspaces_link_by_link_and_the_farthest_link():

@@ -35,27 +35,27 @@ FENCE = re.compile(r"^```.*?^```", re.MULTILINE | re.DOTALL)
 
 def _found(pattern: re.Pattern, group_by_span: bool = True) -> list:
     """(page, match) for everything that `pattern` finds outside code blocks."""
-    found = []
+    params = []
     for page in PAGES:
         prose = FENCE.sub("", page.read_text(encoding="utf-8"))
         texts = SPAN.findall(prose) if group_by_span else [prose]
         unique = {match.group(): match for text in texts for match in pattern.finditer(text)}
-        found += [pytest.param(page, m, id=f"{page.stem}-{m.group()}") for m in unique.values()]
-    return found
+        params += [pytest.param(page, m, id=f"{page.stem}-{m.group()}") for m in unique.values()]
+    return params
 
 
 def _resolved(name: str):
     """Object of a dotted name; a field without a default gives its annotation."""
-    found, path = lierb, "lierb"
+    item, path = lierb, "lierb"
     for part in name.split(".")[1:]:
         path += f".{part}"
-        if hasattr(found, part):
-            found = getattr(found, part)
-        elif isinstance(found, type):
-            found = ChainMap(*map(inspect.get_annotations, found.__mro__))[part]
+        if hasattr(item, part):
+            item = getattr(item, part)
+        elif isinstance(item, type):
+            item = ChainMap(*map(inspect.get_annotations, item.__mro__))[part]
         else:
-            found = importlib.import_module(path)
-    return found
+            item = importlib.import_module(path)
+    return item
 
 
 def _anchors(page: Path) -> set[str]:
@@ -105,9 +105,9 @@ SLOW = {"lierb.analysis.paper"}  # all of its section 5
 @pytest.mark.usefixtures("papers_kernels")
 @pytest.mark.parametrize("name", slow_but(_with_examples(), *{*_with_examples()} - SLOW))
 def test_examples_of_docstrings_run(name):
-    found = doctest.testmod(importlib.import_module(name))
-    assert found.attempted > 0
-    assert found.failed == 0
+    outcome = doctest.testmod(importlib.import_module(name))
+    assert outcome.attempted > 0
+    assert outcome.failed == 0
 
 
 @pytest.mark.parametrize("page", slow_but(PAGES, *QUICK), ids=lambda page: page.stem)

@@ -37,16 +37,16 @@ def example(name: str) -> dict:
 @pytest.mark.parametrize("name", tiered(NAMES, QUICK, ("four_bar", "reaction_wheels")))
 def test_example_prints_and_draws(name):
     """And no trajectory of it fails."""
-    found = example(name)
-    assert found["result"].failed.size == 0
-    assert all(axes.has_data() for axes in found["figure"].axes)
+    script = example(name)
+    assert script["result"].failed.size == 0
+    assert all(axes.has_data() for axes in script["figure"].axes)
 
 
 def test_double_pendulum_moves_as_lagrange_says():
     """Two rods of mass m and length l: M(θ) θ̈ = −C − G, θ from the vertical."""
-    found = example("double_pendulum")
+    script = example("double_pendulum")
     m, l, g = 1.0, 0.5, 9.81
-    own = float(found["ROD"].inertia[1, 1])
+    own = float(script["ROD"].inertia[1, 1])
 
     def rate(_, y):
         a, b, u, w = y
@@ -60,22 +60,22 @@ def test_double_pendulum_moves_as_lagrange_says():
     start = np.radians(130.0)
     ends = solve_ivp(rate, (0, 2), [start, start + 0.5, 0, 0], "DOP853", rtol=1e-12, atol=1e-13)
     a, b = ends.y[:2, -1]
-    k = int(np.argmin(np.abs(found["t"] - 2.0)))
+    k = int(np.argmin(np.abs(script["t"] - 2.0)))
     # turned by +θ about y, what hangs along −z goes to −x
     expected = [-l * (np.sin(a) + np.sin(b)), 0.0, -l * (np.cos(a) + np.cos(b))]
     # RK4 at 1 ms, over 2 s of chaos
-    np.testing.assert_allclose(found["tips"][k, 0], expected, rtol=0, atol=1e-6)
-    assert 0.3 < 1.0 / found["rate"] < 0.8
+    np.testing.assert_allclose(script["tips"][k, 0], expected, rtol=0, atol=1e-6)
+    assert 0.3 < 1.0 / script["rate"] < 0.8
 
 
 @pytest.mark.slow
 def test_four_bar_is_where_circles_meet():
     """Two circles, round the crank's end and the rocker's pivot, meet where these bars do."""
-    found = example("four_bar")
-    t, length, ends = found["t"], found["length"], found["ends"]
-    pose = found["pose0"]["crank"]
+    script = example("four_bar")
+    t, length, ends = script["t"], script["length"], script["ends"]
+    pose = script["pose0"]["crank"]
     first = np.arctan2(-pose[:, 2, 0], pose[:, 0, 0])  # about y, z → x
-    angle = first + found["SPEED"] * t[:, None]
+    angle = first + script["SPEED"] * t[:, None]
     heel = length["crank"][:, None] * np.stack([np.cos(angle), -np.sin(angle)], -1)
     base = np.stack([length["base"], 0.0 * length["base"]], -1)
     across = base - heel
@@ -89,44 +89,44 @@ def test_four_bar_is_where_circles_meet():
     tip = heel + (length["coupler"] / length["half"])[:, None] * (knee - heel)
     # the motor's speed is kept by projection, its angle by RK4: 1e-13 rad
     np.testing.assert_allclose(ends[..., ::2], tip, rtol=0, atol=1e-11)
-    assert found["result"].summary["energy_drift_max"].to_numpy().max() < 1e-9
+    assert script["result"].summary["energy_drift_max"].to_numpy().max() < 1e-9
 
 
 @pytest.mark.long
 def test_slider_is_a_rod_away_from_the_crank():
-    found = example("slider_crank")
-    crank, slider = found["result"]["crank"], found["result"]["slider"]
-    B = crank.position[:, 0] + crank.rotation[:, 0] @ (0.0, 0.0, found["R"] / 2)
-    x = B[:, 0] + np.sqrt(found["L"] ** 2 - B[:, 1] ** 2 - B[:, 2] ** 2)
+    script = example("slider_crank")
+    crank, slider = script["result"]["crank"], script["result"]["slider"]
+    B = crank.position[:, 0] + crank.rotation[:, 0] @ (0.0, 0.0, script["R"] / 2)
+    x = B[:, 0] + np.sqrt(script["L"] ** 2 - B[:, 1] ** 2 - B[:, 2] ** 2)
     np.testing.assert_allclose(slider.position[:, 0, 0], x, rtol=0, atol=1e-13)
-    opened = [run.summary["position_error_max"][0].as_py() for run in found["runs"].values()]
+    opened = [run.summary["position_error_max"][0].as_py() for run in script["runs"].values()]
     assert opened[0] > 1e3 * opened[1] > 1e6 * opened[2]
 
 
 @pytest.mark.long
 def test_rssr_turns_where_the_rod_reaches_all_the_way():
     """A rod fits at a crank's angle if the rocker's circle has a point at that distance."""
-    found = example("rssr")
+    script = example("rssr")
     theta = np.linspace(0.0, 2.0 * np.pi, 2001)
-    ends = found["CRANK"] * np.stack([np.cos(theta), np.sin(theta), 0.0 * theta], -1)
+    ends = script["CRANK"] * np.stack([np.cos(theta), np.sin(theta), 0.0 * theta], -1)
     phi = np.linspace(0.0, 2.0 * np.pi, 2001)[:, None]
-    side = np.cross(found["AXIS"], (0.0, 1.0, 0.0))
-    circle = found["PIVOT"] + found["ROCKER"] * (np.cos(phi) * (0, 1, 0) + np.sin(phi) * side)
+    side = np.cross(script["AXIS"], (0.0, 1.0, 0.0))
+    circle = script["PIVOT"] + script["ROCKER"] * (np.cos(phi) * (0, 1, 0) + np.sin(phi) * side)
     apart = np.linalg.norm(ends[:, None] - circle, axis=-1)
     shortest, longest = apart.min(axis=1).max(), apart.max(axis=1).min()
-    fits = (shortest < found["LENGTHS"]) & (found["LENGTHS"] < longest)
-    np.testing.assert_array_equal(found["runs"], fits)
+    fits = (shortest < script["LENGTHS"]) & (script["LENGTHS"] < longest)
+    np.testing.assert_array_equal(script["runs"], fits)
 
 
 @pytest.mark.long
 def test_bricard_ends_where_its_benchmark_does():
-    found = example("bricard")
+    script = example("bricard")
     kept = json.loads(REFERENCE.read_text(encoding="utf-8"))["A04"]
-    assert found["off"] < 1e-13  # of a closed form of which the integrator knows nothing
+    assert script["off"] < 1e-13  # of a closed form of which the integrator knows nothing
     for time, y in zip(("0.5", "1", "2", "10"), _states(kept), strict=True):
-        k = int(np.argmin(np.abs(found["t"] - float(time))))
+        k = int(np.argmin(np.abs(script["t"] - float(time))))
         a, b = y[:2]
-        angles = [found["alpha"][k], found["beta"][k]]
+        angles = [script["alpha"][k], script["beta"][k]]
         # RK4 at 1 ms is off by 1e-10 after 10 s
         np.testing.assert_allclose(
             angles, [np.pi / 2 - a - b, np.pi / 2 - a + b], rtol=0, atol=1e-8
@@ -139,22 +139,24 @@ def _states(kept) -> list[list[float]]:
 
 @pytest.mark.slow
 def test_satellite_keeps_no_momentum_and_turns_as_it_should():
-    found = example("reaction_wheels")
-    assert found["away"] < 1e-13  # of wheels that have 0.3
-    np.testing.assert_allclose(found["found"], found["wanted"], rtol=0, atol=1e-9)
-    R = found["result"]["hull"].rotation[-1]
+    script = example("reaction_wheels")
+    assert script["away"] < 1e-13  # of wheels that have 0.3
+    np.testing.assert_allclose(script["found"], script["wanted"], rtol=0, atol=1e-9)
+    R = script["result"]["hull"].rotation[-1]
     np.testing.assert_allclose(R[:, 2, 2], 1.0, rtol=0, atol=1e-9)
 
 
 @pytest.mark.long
 def test_arm_comes_to_rest_where_its_energy_is_least():
     """Oracle: forward kinematics and potentials written here, a minimum by SciPy."""
-    found = example("arm")
+    script = example("arm")
 
     def places(q):
         """Positions of all centres of mass, and of the flange."""
         T, centres = np.eye(4), []
-        for angle, d, a, alpha, com in zip(q, found["D"], found["A"], found["ALPHA"], found["COM"]):
+        for angle, d, a, alpha, com in zip(
+            q, script["D"], script["A"], script["ALPHA"], script["COM"]
+        ):
             c, s, u, v = np.cos(angle), np.sin(angle), np.cos(alpha), np.sin(alpha)
             T = T @ [
                 [c, -s * u, s * v, a * c],
@@ -166,16 +168,16 @@ def test_arm_comes_to_rest_where_its_energy_is_least():
         return np.array(centres), T[:3, 3]
 
     for k in (0, 50):
-        carried = found["PAYLOAD"][k] + 1e-3
+        carried = script["PAYLOAD"][k] + 1e-3
 
         def energy(q, carried=carried):
             centres, flange = places(q)
-            weight = 9.81 * (np.dot(found["MASS"], centres[:, 2]) + carried * flange[2])
-            return weight + 0.5 * np.sum(found["STIFFNESS"] * (q - found["TARGET"]) ** 2)
+            weight = 9.81 * (np.dot(script["MASS"], centres[:, 2]) + carried * flange[2])
+            return weight + 0.5 * np.sum(script["STIFFNESS"] * (q - script["TARGET"]) ** 2)
 
-        best = minimize(energy, found["TARGET"], method="BFGS", options={"gtol": 1e-7})
+        best = minimize(energy, script["TARGET"], method="BFGS", options={"gtol": 1e-7})
         # BFGS with finite differences finds the minimum to 1e-6 rad or so
-        np.testing.assert_allclose(found["place"][-1, k], places(best.x)[1], rtol=0, atol=1e-6)
+        np.testing.assert_allclose(script["place"][-1, k], places(best.x)[1], rtol=0, atol=1e-6)
 
 
 def test_humanoid_keeps_its_angular_momentum():

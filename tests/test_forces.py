@@ -193,10 +193,12 @@ def test_forces_add_up(held, acting, cspace):
 @pytest.mark.parametrize("options", [{"solver": "saddle"}, {"cspace": "reduced"}])
 def test_gain_reduced_and_saddle_agree_under_forces(options):
     problem, twist0 = case("revolute", tuple(FORCES))
-    found = [run(problem, twist0, dt=1e-3, t_end=0.5, **o).summary for o in ({}, options)]
+    summaries = [run(problem, twist0, dt=1e-3, t_end=0.5, **o).summary for o in ({}, options)]
     for name in ("rotation", "position", "omega", "v"):
         # the same differential equation by the same method: rounding, over 500 steps
-        np.testing.assert_allclose(column(found[0], name), column(found[1], name), atol=1e-11)
+        np.testing.assert_allclose(
+            column(summaries[0], name), column(summaries[1], name), atol=1e-11
+        )
 
 
 def test_spring_off_the_centre_swings_harmonically():
@@ -209,8 +211,8 @@ def test_spring_off_the_centre_swings_harmonically():
     result = lierb.integrate(problem, twist0=held.twist(), dt=5e-4, t_end=1.0, cspace="reduced")
     place = 0.5 * (1.0 - np.cos(np.sqrt([1.5, 4.0])))  # x₀(1 − cos √(k/m) t) from rest
     # RK4 at 5e-4 of ω ≤ 2 rad/s: errors of (ωh)⁴/120
-    found = column(result.summary, "position")
-    np.testing.assert_allclose(found, np.outer(place, axis), atol=1e-13)
+    position = column(result.summary, "position")
+    np.testing.assert_allclose(position, np.outer(place, axis), atol=1e-13)
     assert max(result.summary["energy_drift_max"].to_pylist()) < 1e-13
 
 
@@ -363,9 +365,9 @@ def test_work_of_a_function_is_what_its_potential_lacks():
     rate = speed * np.exp(-decay) * (np.cos(pace) - decay / pace * np.sin(pace))
     energy = 0.5 * MASS * rate**2 + 0.5 * stiffness * place**2
     # RK4 on 3 rad/s: (3e-3)⁴/120 of 9 J a period, and rounding of 1000 steps
-    found = column(summary, "work_final")
-    np.testing.assert_allclose(found, energy - 0.5 * MASS * speed**2, rtol=0, atol=1e-11)
-    assert abs(found[0]) < 1e-13  # no damping: rounding of power and potential, 1000 times
+    work = column(summary, "work_final")
+    np.testing.assert_allclose(work, energy - 0.5 * MASS * speed**2, rtol=0, atol=1e-11)
+    assert abs(work[0]) < 1e-13  # no damping: rounding of power and potential, 1000 times
     assert max(summary["energy_drift_max"].to_pylist()) < 1e-11
 
 
@@ -691,11 +693,11 @@ def test_coulomb_friction_slows_as_its_smooth_law_says(joints_with_forces, name)
         np.testing.assert_allclose(passed - passed[0], -COULOMB / inertia * t, rtol=0, atol=1e-9)
         return
     mass = float(box().mass)
-    found = solve_ivp(
+    solution = solve_ivp(
         lambda _, u: -(2.0 * u + u / np.sqrt(u * u + SLOW**2)) / mass,
         (0.0, 1.0), [0.3], "DOP853", t, rtol=1e-12, atol=1e-14,
     )  # fmt: skip
-    np.testing.assert_allclose(rates[1], found.y[0], rtol=0, atol=1e-10)
+    np.testing.assert_allclose(rates[1], solution.y[0], rtol=0, atol=1e-10)
 
 
 @pytest.mark.parametrize(("name", "before"), [("stop", 0.5), ("stop_beyond_pi", 2 * np.pi - 4.5)])

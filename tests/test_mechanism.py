@@ -92,8 +92,8 @@ def body_fixed(pose, rate):
 def test_pose_is_the_product_of_the_joints_along_the_tree(name):
     arm = tree("cylindrical", name)
     given = drawn(arm, 1)
-    found = arm.pose(given)
-    assert list(found) == ["rod", "crank", "arm"]
+    poses = arm.pose(given)
+    assert list(poses) == ["rod", "crank", "arm"]
     local = {
         link.name: link.joint.pose(coordinates=given[link.name])
         if link.name in given
@@ -103,8 +103,8 @@ def test_pose_is_the_product_of_the_joints_along_the_tree(name):
     expected = {"crank": local["crank"]}
     expected |= {n: local["crank"] @ local[n] for n in ("rod", "arm")}
     for link in arm.links:
-        np.testing.assert_allclose(found[link.name], expected[link.name], rtol=0, atol=2e-15)
-    np.testing.assert_array_equal(found["crank"], local["crank"])  # on the ground: the very bits
+        np.testing.assert_allclose(poses[link.name], expected[link.name], rtol=0, atol=2e-15)
+    np.testing.assert_array_equal(poses["crank"], local["crank"])  # on the ground: the very bits
 
 
 @pytest.mark.parametrize("name", WITH_COORDINATES)
@@ -169,15 +169,15 @@ def test_a_number_or_one_for_each_is_enough_for_one_coordinate():
 def test_a_rotation_or_a_whole_pose_stands_for_coordinates():
     arm = tree("spherical", "point_on_line")
     R, C = rotation(0.4, 0.1, -0.3), frame((0.2, 0.3, 0.4), (1.0, 2.0, 3.0))
-    found = arm.pose({"crank": R[None], "rod": C})
+    poses = arm.pose({"crank": R[None], "rod": C})
     np.testing.assert_allclose(
-        found["crank"][0], arm.link("crank").joint.pose(rotation=R), rtol=0, atol=0
+        poses["crank"][0], arm.link("crank").joint.pose(rotation=R), rtol=0, atol=0
     )
-    np.testing.assert_array_equal(found["rod"], C[None])
-    np.testing.assert_array_equal(arm.coordinates(found)["rod"], C[None])
-    twist = arm.twist({"rod": np.arange(6.0)}, found)
+    np.testing.assert_array_equal(poses["rod"], C[None])
+    np.testing.assert_array_equal(arm.coordinates(poses)["rod"], C[None])
+    twist = arm.twist({"rod": np.arange(6.0)}, poses)
     np.testing.assert_array_equal(twist["rod"], np.arange(6.0)[None])
-    np.testing.assert_array_equal(arm.velocities(twist, found)["rod"], np.arange(6.0)[None])
+    np.testing.assert_array_equal(arm.velocities(twist, poses)["rod"], np.arange(6.0)[None])
 
 
 def test_a_link_without_rates_moves_with_its_parent():
@@ -257,10 +257,10 @@ def test_a_four_bar_closes_as_two_circles_meet(loop):
     bars = fourbar(loop=loop, turn=(0.5, -0.8, 0.3))
     start = bars.pose({"crank": 0.7, "rod": -0.1, "rocker": 1.7})
     closed = bars.close(start)
-    found = {n: x.item() for n, x in bars.coordinates(closed).items()}
-    rod, rocker = expected_fourbar(found["crank"])
-    assert found["rod"] == pytest.approx(rod, abs=1e-12)
-    assert found["rocker"] == pytest.approx(rocker, abs=1e-12)
+    q = {n: x.item() for n, x in bars.coordinates(closed).items()}
+    rod, rocker = expected_fourbar(q["crank"])
+    assert q["rod"] == pytest.approx(rod, abs=1e-12)
+    assert q["rocker"] == pytest.approx(rocker, abs=1e-12)
     freedoms, redundant = bars.freedoms(closed)
     assert (freedoms, redundant) == (1, REDUNDANT[loop])
     assert bars.violation(closed, bars.twist({}, closed)) is None
@@ -416,10 +416,10 @@ def test_projection_is_the_saddle_point_with_pseudo_inverse(loop):
     easy = np.linalg.inv(M)
     # differences leave 1e-10 of redundant rows
     expected = V - easy @ J.T @ np.linalg.pinv(J @ easy @ J.T, rcond=1e-7) @ (J @ V)
-    found = bars.project(twist, pose)
+    projected = bars.project(twist, pose)
     for i, n in enumerate(bars.names):
-        np.testing.assert_allclose(found[n], expected[6 * i : 6 * i + 6], rtol=0, atol=1e-8)
-    assert bars.violation(pose, found) is None
+        np.testing.assert_allclose(projected[n], expected[6 * i : 6 * i + 6], rtol=0, atol=1e-8)
+    assert bars.violation(pose, projected) is None
 
 
 def weighing(made, masses, gyrations):
@@ -488,13 +488,13 @@ def test_projection_is_of_least_energy_with_unequal_masses():
         unequal = weighing(made, (1.0, mass), (1.0, 1e-3))
         pose = unequal.pose()
         twist = {"rod": np.array((0, 0, 0.3, 0, 0, 0)), "wheel": np.array((0, 0, 2.0, 0, 0.4, 0))}
-        found = unequal.project(twist, pose)
+        projected = unequal.project(twist, pose)
         heavy = float(unequal.link("rod").body.inertia[2, 2])
         # impulse J along e₂ at the hub: v_w' = 0.4 − J/m, v_r' = J/1, ω' = 0.3 + 0.5 J/I
         impulse = (0.4 - 0.15) / (1.0 / mass + 1.0 + 0.25 / heavy)
-        np.testing.assert_allclose(found["rod"][[2, 4]], (0.3 + 0.5 * impulse / heavy, impulse),
+        np.testing.assert_allclose(projected["rod"][[2, 4]], (0.3 + 0.5 * impulse / heavy, impulse),
                                    rtol=0, atol=1e-12)  # fmt: skip
-        assert found["wheel"][2] == pytest.approx(
+        assert projected["wheel"][2] == pytest.approx(
             2.0, abs=1e-9
         )  # 1e-16 of the rod's, 1e9 times as heavy
 
@@ -560,8 +560,8 @@ def test_one_link_closes_and_projects_as_a_problem_does():
     # both close, one step of Newton's at a time: nearest up to second order of what was off
     np.testing.assert_allclose(closed, problem.close(off), rtol=0, atol=1e-3)
     twist = (1.0, 2.0, 3.0, -1.0, 0.5, 0.2)
-    found = single.project({"bar": twist}, {"bar": closed})["bar"]
-    np.testing.assert_allclose(found, problem.project(twist, closed), rtol=0, atol=1e-13)
+    projected = single.project({"bar": twist}, {"bar": closed})["bar"]
+    np.testing.assert_allclose(projected, problem.project(twist, closed), rtol=0, atol=1e-13)
 
 
 # ---- what is wrong with a start ----------------------------------------------------------------

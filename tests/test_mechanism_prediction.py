@@ -227,10 +227,10 @@ def test_se3_keeps_an_inner_joint_that_its_parent_s_motions_normalise(first, sec
 
 
 def _hat(x):
-    found = np.zeros((4, 4))
-    found[:3, :3] = [[0, -x[2], x[1]], [x[2], 0, -x[0]], [-x[1], x[0], 0]]
-    found[:3, 3] = x[3:]
-    return found
+    matrix = np.zeros((4, 4))
+    matrix[:3, :3] = [[0, -x[2], x[1]], [x[2], 0, -x[0]], [-x[1], x[0], 0]]
+    matrix[:3, 3] = x[3:]
+    return matrix
 
 
 def _vee(m):
@@ -340,11 +340,11 @@ def _stored():
 
 
 def test_predictions_agree_with_the_stored_drift():
-    found = _stored()["mechanisms"]
-    assert len(found) >= 50
-    assert set(found) == set(bench.shapes())
-    assert {name: wrong for name, x in found.items() if (wrong := bench.disagreements(x))} == {}
-    verdicts = [k["exact"] for x in found.values() for c in x.values() for j in c.values()
+    stored = _stored()["mechanisms"]
+    assert len(stored) >= 50
+    assert set(stored) == set(bench.shapes())
+    assert {name: wrong for name, x in stored.items() if (wrong := bench.disagreements(x))} == {}
+    verdicts = [k["exact"] for x in stored.values() for c in x.values() for j in c.values()
                 for k in j.values()]  # fmt: skip
     assert 0.3 < np.mean(verdicts) < 0.8  # both verdicts occur
 

@@ -60,7 +60,7 @@ def model_of(path):
 
 def coordinates_of(model, data, mechanism):
     """Coordinates of every link from qpos, in the order of a body's joints in the file."""
-    found = {}
+    numbers_of_links = {}
     for link in mechanism.links:
         body = model.body(link.name)
         numbers = []
@@ -72,8 +72,8 @@ def coordinates_of(model, data, mechanism):
             else:
                 numbers.append(data.qpos[at] - model.qpos0[at])
         if numbers:
-            found[link.name] = numbers
-    return found
+            numbers_of_links[link.name] = numbers
+    return numbers_of_links
 
 
 def assert_same_places(model, data, mechanism, pose):
@@ -293,7 +293,7 @@ def test_bodies_are_checked_as_one_with_what_is_welded_to_them(tmp_path, moments
     mechanism, left_out = read(path)
     assert mechanism.names == ("base", "body")
     assert any(lost.startswith("body sensor as a link of its own: sensor's") for lost in left_out)
-    found = mechanism.link("body").body
+    combined = mechanism.link("body").body
     turn = Rotation.from_euler("XYZ", (0.3, 0.0, 0.2))
     numbers = dict(x.split("=") for x in moments.replace('" ', '"|').split("|"))
     added = float(numbers["mass"].strip('"'))
@@ -306,9 +306,9 @@ def test_bodies_are_checked_as_one_with_what_is_welded_to_them(tmp_path, moments
         R @ own @ R.T + steiner(added, c) + np.diag((0.03, 0.02, 0.025)) + steiner(1.3, c_own)
     )
     # Rounding of principal axes, back and forth, of moments below 1.
-    np.testing.assert_allclose(found.inertia, expected, rtol=0, atol=1e-14)
-    np.testing.assert_allclose(found.mass, 1.3 + added, rtol=1e-15)
-    np.testing.assert_allclose(found.com, (added * c + 1.3 * c_own) / (1.3 + added), rtol=1e-13)
+    np.testing.assert_allclose(combined.inertia, expected, rtol=0, atol=1e-14)
+    np.testing.assert_allclose(combined.mass, 1.3 + added, rtol=1e-15)
+    np.testing.assert_allclose(combined.com, (added * c + 1.3 * c_own) / (1.3 + added), rtol=1e-13)
 
 
 @pytest.mark.parametrize("moments", UNSOUND.values(), ids=UNSOUND)
@@ -472,8 +472,8 @@ def test_trajectories_are_those_of_mujoco(name, allowed):
         mujoco.mj_step(model, data)
     mujoco.mj_kinematics(model, data)
     for link in mechanism.names:
-        found = result.summary[f"{link}.position"].combine_chunks().flatten().to_numpy()
-        np.testing.assert_allclose(found, data.xpos[model.body(link).id], atol=allowed)
+        position = result.summary[f"{link}.position"].combine_chunks().flatten().to_numpy()
+        np.testing.assert_allclose(position, data.xpos[model.body(link).id], atol=allowed)
 
 
 def gap(mechanism, pose):
@@ -481,9 +481,9 @@ def gap(mechanism, pose):
     at = mechanism.joints[-1]
     poses = mechanism.poses("pose", pose)
     rotation, place = mechanism.relative(at, poses)
-    found = np.eye(4)
-    found[:3, :3], found[:3, 3] = np.reshape(rotation, (3, 3)), place
-    return found
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[:3, 3] = np.reshape(rotation, (3, 3)), place
+    return matrix
 
 
 def assert_same_gap(path):

@@ -142,15 +142,15 @@ def test_work_does_not_depend_on_calls_neighbours_or_history(monkeypatch):
 def test_start_time_is_that_of_forces():
     """A gust from 2 s on is one from 0 s on that is 2 s ahead, and not one that is not."""
     plain, twist0 = lively("spherical")
-    found = {}
+    omegas = {}
     for name, ahead, t0 in (("at 2", 0.0, 2.0), ("ahead", 2.0, 0.0), ("at 0", 0.0, 0.0)):
         problem = lierb.Problem(plain.body, plain.joint, GRAVITY, gust(ahead=ahead))
         result = integrate(problem, twist0=twist0, dt=DT, t0=t0, t_end=t0 + 0.5)
         np.testing.assert_array_equal(result.summary["t"], [t0 + 0.5] * len(twist0))
-        found[name] = column(result.summary, "omega")
+        omegas[name] = column(result.summary, "omega")
     # t is rounded otherwise: 1e-15 of some rad/s, over 50 steps
-    np.testing.assert_allclose(found["at 2"], found["ahead"], atol=1e-11)
-    assert np.abs(found["at 2"] - found["at 0"]).max() > 1e-3
+    np.testing.assert_allclose(omegas["at 2"], omegas["ahead"], atol=1e-11)
+    assert np.abs(omegas["at 2"] - omegas["at 0"]).max() > 1e-3
 
 
 def swaying(t):
@@ -480,8 +480,8 @@ def broken(make, pose0, twist0, is_rebuilt: bool) -> str:
     summary = lierb.integrate(problem, **start, **options, t_end=30 * DT).summary
     names = [n for n in summary.column_names if n.rpartition(".")[2] in STATE]
     assert len(names) >= len(STATE)
-    found = b"".join(column(summary, name).tobytes() for name in names)
-    return hashlib.sha256(found).hexdigest()
+    content = b"".join(column(summary, name).tobytes() for name in names)
+    return hashlib.sha256(content).hexdigest()
 
 
 def driven(is_rebuilt: bool) -> str:
@@ -513,7 +513,7 @@ def test_built_again_it_goes_on_to_the_bits_of_one_run(run_of):
 def test_built_in_another_process_it_goes_on_to_the_same_bits():
     code = "import test_restart; print(test_restart.driven(is_rebuilt=True))"
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(map(str, sys.path))}
-    found = subprocess.run(
+    child = subprocess.run(
         [sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True
     )
-    assert found.stdout.strip() == driven(is_rebuilt=False)
+    assert child.stdout.strip() == driven(is_rebuilt=False)

@@ -25,7 +25,7 @@ from lierb.errors import (
 )
 from lierb.model.functions.column_names import COMPONENTS
 from lierb.results.columns import as_array, as_codes, numbers, texts, vectors
-from lierb.results.failures import FINE, REMEDIES, STATUS_NAMES, Failures
+from lierb.results.failures import REMEDIES, STATUS_NAMES, SUCCESSES, Failures
 from lierb.support.extras import MissingExtraError
 
 COUNT, STEPS, DT = 5, 6, 1e-2
@@ -265,7 +265,7 @@ def test_arrays_of_failed_trajectories_are_nan(failing):
 
 
 def test_every_failure_has_a_remedy():
-    assert set(REMEDIES) == set(STATUS_NAMES.values()) - set(FINE)
+    assert set(REMEDIES) == set(STATUS_NAMES.values()) - set(SUCCESSES)
 
 
 def test_one_trajectory_is_not_counted():

@@ -168,19 +168,19 @@ def test_extreme_uniforms_give_finite_draws(name):
     """Every corner of the cube of uniforms, those next to 0 and 1 with it."""
     distribution = ANY[name]
     corners = list(itertools.product((LEAST, 0.5, MOST), repeat=distribution.dimension))
-    found = distribution.draw(corners)
-    assert np.isfinite(found).all()
+    draws = distribution.draw(corners)
+    assert np.isfinite(draws).all()
     if isinstance(distribution, (Uniform, TruncatedNormal)):
-        assert (found >= distribution.low).all()
-        assert (found <= distribution.high).all()
+        assert (draws >= distribution.low).all()
+        assert (draws <= distribution.high).all()
 
 
 def test_uniform_never_passes_a_bound_by_rounding():
     rng = np.random.default_rng(3)
     low = rng.normal(size=1000)
     high = low + 10.0 ** rng.uniform(-16, 3, size=1000)
-    found = Uniform(low, high).draw([[MOST] * 1000, [LEAST] * 1000])
-    assert ((low <= found) & (found <= high)).all()
+    draws = Uniform(low, high).draw([[MOST] * 1000, [LEAST] * 1000])
+    assert ((low <= draws) & (draws <= high)).all()
 
 
 @pytest.mark.parametrize(
@@ -216,7 +216,7 @@ def test_truncated_normal_is_accurate_for_any_ratio_of_std_and_width(exponent, p
     """Bounds 3 and 3.5, a mean `place` widths from 3; the law's integrals by mpmath."""
     low, high, std = 3.0, 3.5, 0.5 * 10.0**exponent
     mean = low + 0.5 * place
-    found = TruncatedNormal(mean, std, low, high).draw(np.transpose([UNIFORMS]))
+    draws = TruncatedNormal(mean, std, low, high).draw(np.transpose([UNIFORMS]))
     # differences of Φ over a width of 10^−exponent, or in a tail of 10^(−(a²/2)/2.3)
     with mpmath.workdps(60 + 2 * abs(exponent)):
         at_low, at_high = (mpmath.mpf(x - mean) / std for x in (low, high))
@@ -225,7 +225,7 @@ def test_truncated_normal_is_accurate_for_any_ratio_of_std_and_width(exponent, p
         mass = cdf(at_high) - cdf(at_low)
         # the law's own length: its width, a standard deviation, or how fast a tail falls
         spread = min(high - low, std / (1.0 + max(float(at_low), -float(at_high), 0.0)))
-        for u, x in zip(UNIFORMS, found):
+        for u, x in zip(UNIFORMS, draws):
             z = (mpmath.mpf(float(x)) - mean) / std
             off = (u * mass - (cdf(z) - cdf(at_low))) / mpmath.npdf(z) * std
             # a few ulp of x, and of the law's length where density is 1/e² of its largest
@@ -255,17 +255,17 @@ def test_truncated_normal_far_out_is_normal_or_exponential(ratio):
 @pytest.mark.parametrize("widths", [1e12, 1e100, 1e300])
 def test_truncated_normal_has_as_many_values_as_uniforms(widths):
     u = np.random.default_rng(5).uniform(size=20_000)
-    found = TruncatedNormal(0.3, widths, 0.0, 1.0).draw(u[:, None])
-    assert len(np.unique(found)) == len(np.unique(u))
-    np.testing.assert_allclose(found, u, rtol=1e-11)  # the law's own difference is below 1e-24
+    draws = TruncatedNormal(0.3, widths, 0.0, 1.0).draw(u[:, None])
+    assert len(np.unique(draws)) == len(np.unique(u))
+    np.testing.assert_allclose(draws, u, rtol=1e-11)  # the law's own difference is below 1e-24
 
 
 @pytest.mark.parametrize(
     ("median", "sigma"), [(1e-300, 160.0), (1e300, 0.0), (1.0, 80.0), (1e-300, 1e-300), (3.0, 1e-8)]
 )
 def test_log_normal_is_accurate_for_any_size(median, sigma):
-    found = LogNormal(median, sigma).draw(np.transpose([UNIFORMS]))
-    for u, x in zip(UNIFORMS, found):
+    draws = LogNormal(median, sigma).draw(np.transpose([UNIFORMS]))
+    for u, x in zip(UNIFORMS, draws):
         exponent = sigma * stats.norm.ppf(u)
         wanted = mpmath.mpf(median) * mpmath.exp(exponent)
         # rounding of the exponent itself is relative to the number; below 2^-1022 there are fewer
@@ -571,9 +571,9 @@ def test_two_seeds_scramble_differently():
 
 @pytest.mark.parametrize("method", ["random", "sobol"])
 def test_design_of_constants_draws_them(method):
-    found = Design({"g": (0.0, 0.0, -9.81), "m": 2.0}, 5, method=method).draw(1, 3)
-    np.testing.assert_array_equal(found["g"], [(0.0, 0.0, -9.81)] * 3)
-    np.testing.assert_array_equal(found["m"], [2.0] * 3)
+    draws = Design({"g": (0.0, 0.0, -9.81), "m": 2.0}, 5, method=method).draw(1, 3)
+    np.testing.assert_array_equal(draws["g"], [(0.0, 0.0, -9.81)] * 3)
+    np.testing.assert_array_equal(draws["m"], [2.0] * 3)
 
 
 # ---- grids ---------------------------------------------------------------------------------------
@@ -585,14 +585,14 @@ def test_grid_has_every_combination_once():
     design = Design(
         {"a": named["a"], "m": np.eye(3), "b": named["b"], "c": named["c"]}, method="grid"
     )
-    found = design.draw()
+    draws = design.draw()
     assert len(design) == 24
-    rows = zip(found["a"].tolist(), map(tuple, found["b"].tolist()), found["c"].tolist())
+    rows = zip(draws["a"].tolist(), map(tuple, draws["b"].tolist()), draws["c"].tolist())
     assert list(rows) == list(itertools.product(*levels.values()))
-    np.testing.assert_array_equal(found["m"], [np.eye(3)] * 24)
+    np.testing.assert_array_equal(draws["m"], [np.eye(3)] * 24)
     for size in (1, 5):
         parts = [design.draw(i, min(size, 24 - i)) for i in range(0, 24, size)]
-        for name, values in found.items():
+        for name, values in draws.items():
             np.testing.assert_array_equal(np.concatenate([p[name] for p in parts]), values)
 
 

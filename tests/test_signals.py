@@ -229,7 +229,7 @@ def of_mechanism(mechanism, cspace, pose, twist):
     return of_plan(plan, numbers)
 
 
-def asked(system, body, numbers):
+def evaluate(system, body, numbers):
     """All that its elements give, and the accelerations that they make, flat."""
     signals = Signals((0.1, 0.2, 0.3, 0.4), (0.5, 0.6, 0.7, 0.8), (0.9, 1.0, 1.1))
     body, time = body._replace(signals=signals), 0.25
@@ -256,8 +256,8 @@ def test_mechanism_of_one_link_asks_its_elements_the_same(cspace):
     alone = lierb.Problem(box(), weld, **elements())
     linked = lierb.Mechanism(lierb.Link("bus", box(), weld), **elements())
     twist = np.zeros(6)
-    one = asked(*of_problem(alone, np.eye(4), twist))
-    other = asked(*of_mechanism(linked, cspace, {"bus": np.eye(4)}, {"bus": twist}))
+    one = evaluate(*of_problem(alone, np.eye(4), twist))
+    other = evaluate(*of_mechanism(linked, cspace, {"bus": np.eye(4)}, {"bus": twist}))
     np.testing.assert_allclose(other, one, rtol=1e-13, atol=1e-13)
     assert np.linalg.norm(one[-6:]) > 0.5  # controls.torque
 

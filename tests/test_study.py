@@ -252,8 +252,8 @@ def test_velocities_of_a_study_are_the_rates_of_its_coordinates(name):
 
     np.testing.assert_allclose(moved(0.0), coordinates, rtol=0, atol=1e-14)
     # central differences: a square of 1e-4 times third derivatives of up to ten, 1e-15 over 1e-4
-    found = (moved(1e-4) - moved(-1e-4)) / 2e-4
-    np.testing.assert_allclose(found, rates, rtol=0, atol=1e-6)
+    differences = (moved(1e-4) - moved(-1e-4)) / 2e-4
+    np.testing.assert_allclose(differences, rates, rtol=0, atol=1e-6)
 
 
 def test_velocities_go_with_a_rotation_and_place():
@@ -447,9 +447,9 @@ def test_start_time_is_that_of_the_study():
     tables = [lierb.integrate_batches(each).read_all() for each in runs]
     assert set(tables[1]["t"].to_pylist()) == {2.05}
     for name in ("omega", "work_final"):
-        found = [np.array(table[name].to_pylist()) for table in tables]
+        columns = [np.array(table[name].to_pylist()) for table in tables]
         # rounding is tidied at steps that are counted from 0 s: 1e-15 of 10 rad/s
-        np.testing.assert_allclose(*found, rtol=0, atol=1e-13)
+        np.testing.assert_allclose(*columns, rtol=0, atol=1e-13)
     assert Parts(runs[1])[0].work(runs[1]) == 8 * 50
 
 
@@ -495,8 +495,8 @@ def units_of(schema) -> dict[str, str | None]:
 
 
 def test_sampled_columns_bear_their_units(whole):
-    found = units_of(ds.dataset(whole / "summary").schema)
-    assert {name: unit for name, unit in found.items() if name.startswith("sample.")} == {
+    units = units_of(ds.dataset(whole / "summary").schema)
+    assert {name: unit for name, unit in units.items() if name.startswith("sample.")} == {
         "sample.body.mass": "kg", "sample.forces.drag.linear": "N s/m",
         "sample.initial.omega": "rad/s",
     }  # fmt: skip

@@ -29,7 +29,7 @@ from lierb.studies.description.times import saved_times
 from lierb.studies.description.units import unit_of
 from lierb.studies.execution import cluster
 from lierb.studies.execution.replaying import compile_for, replay
-from lierb.studies.findings.findings import findings, happened
+from lierb.studies.findings.findings import crossings, findings
 from lierb.studies.findings.statistics import percentiles_over_time
 from lierb.studies.storage.parts import LABEL_BYTES, bytes_of_body, part_size, saved_rows
 from lierb.studies.storage.store import Store
@@ -123,14 +123,14 @@ def test_settings_and_steps_are_columns(whole):
 
 def test_body_and_wheels_keep_their_momentum(whole):
     """Sampled inertias, rotations and rates: no external torque acts."""
-    found = table(whole)
-    moments = as_array(found["sample.body.second_moments"])
+    rows = table(whole)
+    moments = as_array(rows["sample.body.second_moments"])
     inertia = moments.sum(axis=1, keepdims=True) - moments
     turned = [
-        as_array(found[name]).reshape(-1, 3, 3) for name in ("sample.initial.rotation", "rotation")
+        as_array(rows[name]).reshape(-1, 3, 3) for name in ("sample.initial.rotation", "rotation")
     ]
-    before = inertia * as_array(found["sample.initial.omega"])
-    after = inertia * as_array(found["omega"]) + as_array(found["wheels"])
+    before = inertia * as_array(rows["sample.initial.omega"])
+    after = inertia * as_array(rows["omega"]) + as_array(rows["wheels"])
     start, end = (np.einsum("nij,nj->ni", *pair) for pair in zip(turned, (before, after)))
     # 1 N m s, by Tsit5 with steps of 0.1 s and torques that jump between them: rounding
     np.testing.assert_allclose(end, start, rtol=0, atol=1e-12)
@@ -144,10 +144,10 @@ def test_history_is_at_the_times_asked_for(whole):
 
 def test_events_are_where_they_say(whole):
     """Events have the states of their table: the angle, and the wheels' momentum."""
-    found = table(whole, "events")
-    which = np.array(found["event"].to_pylist())
-    R = as_array(found["rotation"]).reshape(-1, 3, 3)
-    wheels = as_array(found["wheels"])
+    events = table(whole, "events")
+    which = np.array(events["event"].to_pylist())
+    R = as_array(events["rotation"]).reshape(-1, 3, 3)
+    wheels = as_array(events["wheels"])
     turned = np.arccos(R[which == "pointed", 2, 2])
     # times are found to 1e-12 s, at 0.1 rad/s and 0.05 N m
     np.testing.assert_allclose(turned, 1.0, rtol=0, atol=1e-11)
@@ -360,14 +360,14 @@ def test_steps_that_run_out_are_failures(tmp_path):
         dataset = lierb.run(given, tmp_path / "out")
     assert dataset.failures().counts == {"max_steps": 3}
     assert "rtol = 1e-06" in str(dataset.failures())
-    assert [each.of for each in happened(dataset)] == [0, 0]
+    assert [each.of for each in crossings(dataset)] == [0, 0]
 
 
 def test_events_are_counted_and_their_first_times_ranked(whole):
     dataset = Dataset(whole)
     dataset.read()
     rows = table(whole, "events").to_pylist()
-    for each in happened(dataset):
+    for each in crossings(dataset):
         own = [row for row in rows if row["event"] == each.name]
         first = {}
         for row in own:
@@ -428,7 +428,7 @@ def test_the_example_is_what_it_names(tmp_path):
     assert "1000 of 1000" in shown.output
     dataset = Dataset(tmp_path / "out")
     dataset.read()
-    pointed, saturated = happened(dataset)
+    pointed, saturated = crossings(dataset)
     assert (pointed.bodies, dataset.failures()) == (1000, None)
     assert 10 < saturated.bodies < 300
 
@@ -574,9 +574,9 @@ def test_three_bodies_may_draw_three_states(tmp_path):
 def test_problem_and_design_run_to_the_bytes_of_the_file(whole, tmp_path):
     """Study from Python, with the names of a file."""
     file = written(tmp_path / "study").with_name("attitude.py")
-    found = importlib.util.spec_from_file_location("attitude", file)
-    made = importlib.util.module_from_spec(found)
-    found.loader.exec_module(made)
+    spec = importlib.util.spec_from_file_location("attitude", file)
+    made = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(made)
     given = Study.load(whole / "study.toml")
     problem = lierb.Problem(
         lierb.Body(120.0, (19.0, 17.0, 14.0)), lierb.joints.free(), forces=made.reaction(),

@@ -94,11 +94,11 @@ def _drawn(links: int, count: int) -> Array:
 
 
 def _poses(rotation: Rotation | Array, point: Array) -> Array:
-    found = np.zeros((*point.shape[:-1], 4, 4))
+    poses = np.zeros((*point.shape[:-1], 4, 4))
     matrices = rotation.as_matrix() if isinstance(rotation, Rotation) else rotation
-    found[..., :3, :3] = matrices.reshape(*point.shape[:-1], 3, 3)
-    found[..., :3, 3], found[..., 3, 3] = point, 1.0
-    return found
+    poses[..., :3, :3] = matrices.reshape(*point.shape[:-1], 3, 3)
+    poses[..., :3, 3], poses[..., 3, 3] = point, 1.0
+    return poses
 
 
 def _chain(links: int, count: int) -> Tree:
@@ -192,12 +192,12 @@ def _loop_speeds(speed: Array, end: Array, pin: Array, d: Array) -> tuple[Array,
 
 def places(tree: Tree, q: Array) -> list[Array]:
     """(n, 4, 4) of each link's joint frame in the ground."""
-    found: list[Array] = []
+    poses: list[Array] = []
     for i, parent in enumerate(tree.parents):
         turn = _poses(Rotation.from_rotvec(q[:, i, None] * np.eye(3)[2]), np.zeros((len(q), 3)))
         here = tree.frames[:, i] @ turn
-        found.append(here if parent < 0 else found[parent] @ here)
-    return found
+        poses.append(here if parent < 0 else poses[parent] @ here)
+    return poses
 
 
 def positions(tree: Tree, q: Array) -> Array:
@@ -294,15 +294,15 @@ def solved(mechanism: str, count: int = CHECKED, t_end: float = T_END) -> Array:
         return np.concatenate([v.ravel(), accelerations(tree, q, v).ravel()])
 
     start = np.concatenate([tree.q0.ravel(), tree.v0.ravel()])
-    found = solve_ivp(rates, (0, t_end), start, "DOP853", rtol=1e-12, atol=1e-12)
-    return positions(tree, found.y[:, -1].reshape(2, *shape)[0])
+    solution = solve_ivp(rates, (0, t_end), start, "DOP853", rtol=1e-12, atol=1e-12)
+    return positions(tree, solution.y[:, -1].reshape(2, *shape)[0])
 
 
-def error(mechanism: str, found: Array) -> float:
+def error(mechanism: str, states: Array) -> float:
     """The largest distance, m, of a link from the reference."""
     truth = reference(mechanism)
-    count = min(len(truth), len(found))
-    return float(np.linalg.norm(found[:count] - truth[:count], axis=-1).max())
+    count = min(len(truth), len(states))
+    return float(np.linalg.norm(states[:count] - truth[:count], axis=-1).max())
 
 
 # ---- the double pendulum by Lagrange's equations -----------------------------------------------
@@ -331,8 +331,8 @@ def harmonics(tree: Tree) -> Array:
 
 
 def potential(tree: Tree, q: Array) -> Array:
-    found = np.zeros(len(q))
+    torques = np.zeros(len(q))
     for i, g in enumerate(places(tree, q)):
         centre = g[:, :3, 3] + np.einsum("nij,nj->ni", g[:, :3, :3], tree.com[:, i])
-        found -= tree.mass[:, i] * (centre @ GRAVITY)
-    return found
+        torques -= tree.mass[:, i] * (centre @ GRAVITY)
+    return torques

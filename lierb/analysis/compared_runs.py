@@ -23,7 +23,7 @@ from lierb.model.formulation import CSpace, described_cspace
 from lierb.results.columns import as_array
 from lierb.results.failures import Failures
 from lierb.runs.options import Options
-from lierb.support.shown import counted
+from lierb.support.representations import counted
 
 DRIFTS = {"position": "position_error", "rotation": "rotation_error", "energy": "energy_drift"}
 

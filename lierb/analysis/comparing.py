@@ -39,7 +39,7 @@ from lierb.runs.provenance import machine
 from lierb.support.arrays import as_positive, is_whole
 from lierb.support.collected_warnings import warnings_collected
 from lierb.support.progress import check_progress, reporter
-from lierb.support.shown import counted, rounded
+from lierb.support.representations import counted, rounded
 
 Progress = bool | Callable[[int, int, str], object] | None
 
@@ -196,11 +196,11 @@ def convergence(
 def _tableaus(given: Any) -> list[ButcherTableau]:
     is_one = isinstance(given, (str, ButcherTableau))
     methods = (given,) if is_one else items_of("methods", given, "names of methods, or tableaus")
-    found = [tableau_of(method) for method in methods]
-    if not found:
+    tableaus = [tableau_of(method) for method in methods]
+    if not tableaus:
         raise ArgumentError(f"methods is empty; expected some of {', '.join(TABLEAUS)}")
-    _require_different("methods", [tableau.name for tableau in found])
-    return found
+    _require_different("methods", [tableau.name for tableau in tableaus])
+    return tableaus
 
 
 def _cspaces(model: Model, given: Any) -> list[CSpace]:
@@ -208,14 +208,14 @@ def _cspaces(model: Model, given: Any) -> list[CSpace]:
     if given is None:
         return [default]
     is_one = isinstance(given, (str, Mapping))
-    found = [given] if is_one else list(items_of("cspaces", given, "names of c-spaces"))
-    if not found:
+    cspaces = [given] if is_one else list(items_of("cspaces", given, "names of c-spaces"))
+    if not cspaces:
         raise ArgumentError(f'cspaces is empty; leave it out for "{default}"')
-    for each in found:
+    for each in cspaces:
         if not isinstance(each, (str, Mapping)):
             raise ArgumentError(f"cspaces has {brief(each)}; expected names of c-spaces")
-    _require_different("cspaces", [described_cspace(each) for each in found])
-    return found
+    _require_different("cspaces", [described_cspace(each) for each in cspaces])
+    return cspaces
 
 
 def _several(argument: str, given: Any) -> list[float]:
@@ -248,15 +248,15 @@ def _runs(
                     f"{tableau.name} has no embedded pair, which rtols needs; give dts= as well, "
                     f"or take {pairs}"
                 )
-    found = [Run(*pair, dt, None) for pair in product(tableaus, cspaces) for dt in dts]
-    found += [
+    runs = [Run(*pair, dt, None) for pair in product(tableaus, cspaces) for dt in dts]
+    runs += [
         Run(tableau, cspace, None, rtol)
         for tableau, cspace in product(tableaus, cspaces) if tableau.error is not None
         for rtol in rtols
     ]  # fmt: skip
-    if len(found) > MOST_RUNS:
-        raise ArgumentError(f"these are {len(found)} runs; expected {MOST_RUNS} at most")
-    return found
+    if len(runs) > MOST_RUNS:
+        raise ArgumentError(f"these are {len(runs)} runs; expected {MOST_RUNS} at most")
+    return runs
 
 
 def _check(

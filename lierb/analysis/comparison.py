@@ -28,7 +28,7 @@ from lierb.errors import ArgumentError, require_name
 from lierb.methods import ButcherTableau
 from lierb.support.extras import is_installed, require
 from lierb.support.files import folder_of, naming, write_whole
-from lierb.support.shown import Lines, Shown, counted
+from lierb.support.representations import Lines, Represented, counted
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -37,7 +37,7 @@ NAME = "comparison"  # name of the files
 
 
 @dataclass(frozen=True, repr=False)
-class Comparison(Shown):
+class Comparison(Represented):
     """Comparison of methods, c-spaces and steps, returned by `lierb.convergence`.
 
     Attributes
@@ -217,7 +217,7 @@ class Comparison(Shown):
 
     # ---- at a prompt ----
 
-    def _shown(self) -> tuple[str, Lines]:
+    def _representation(self) -> tuple[str, Lines]:
         title = f"lierb.Comparison: {counted(self.table.num_rows, 'run')}"
         rows: list[tuple[str, str]] = []
         header, orders = table_of_orders(self.orders)

@@ -10,7 +10,7 @@ import pyarrow as pa
 from lierb.analysis.comparison_orders import FLOOR, Observed
 from lierb.analysis.reference import ERRORS
 from lierb.errors import require_name
-from lierb.support.shown import rounded
+from lierb.support.representations import rounded
 
 TextTable = tuple[list[str], list[list[str]]]  # header, rows
 

@@ -149,20 +149,20 @@ def _usable(
 
     The first set has the errors above rounding; the second has those of them below saturation.
     """
-    steps, found = as_positive("dts", dts, "s"), as_floats("errors", errors)
+    steps, values = as_positive("dts", dts, "s"), as_floats("errors", errors)
     sizes = as_floats("size", size)
-    if not (steps.ndim == 1 and found.shape == steps.shape and sizes.shape in ((), steps.shape)):
+    if not (steps.ndim == 1 and values.shape == steps.shape and sizes.shape in ((), steps.shape)):
         raise ArgumentError(
-            f"dts, errors and size have shapes {steps.shape}, {found.shape} and {sizes.shape}; "
+            f"dts, errors and size have shapes {steps.shape}, {values.shape} and {sizes.shape}; "
             "expected (n,) of both, and of size that or one number"
         )
     floors = ROUNDING_FLOOR * sizes if floor is None else as_floats("floor", floor)
     if floors.shape not in ((), steps.shape):
         raise ArgumentError(f"floor has shape {floors.shape}; expected {steps.shape}")
     coarse_first = np.argsort(steps)[::-1]
-    error = found[coarse_first]
+    error = values[coarse_first]
     floors = np.broadcast_to(floors, error.shape)[coarse_first]
-    limits = SATURATED * np.broadcast_to(sizes, found.shape)[coarse_first]
+    limits = SATURATED * np.broadcast_to(sizes, values.shape)[coarse_first]
     is_above = np.isfinite(error) & (error > floors) & (error > 0.0)
     above, usable = np.flatnonzero(is_above), np.flatnonzero(is_above & (error < limits))
     return steps[coarse_first], error, above, usable

@@ -22,7 +22,7 @@ from lierb.results.result import Result
 from lierb.runs.options import Options
 from lierb.runs.starts import arrays_of
 from lierb.support.arrays import Array
-from lierb.support.shown import counted
+from lierb.support.representations import counted
 
 ERRORS = {"rotation": "rad", "position": "m", "omega": "rad/s", "v": "m/s"}
 NORMS: dict[str, Callable[[Array], Any]] = {"largest": np.max, "median": np.median}
@@ -97,12 +97,12 @@ class Ends:
     @property
     def poses(self) -> dict[str, Array]:
         """Poses, (n, 4, 4), by link."""
-        found = {}
+        matrices = {}
         for link, state in self.states.items():
-            found[link] = np.tile(np.eye(4), (len(state["position"]), 1, 1))
-            found[link][:, :3, :3] = state["rotation"]
-            found[link][:, :3, 3] = state["position"]
-        return found
+            matrices[link] = np.tile(np.eye(4), (len(state["position"]), 1, 1))
+            matrices[link][:, :3, :3] = state["rotation"]
+            matrices[link][:, :3, 3] = state["position"]
+        return matrices
 
     @property
     def twists(self) -> dict[str, Array]:
@@ -114,13 +114,13 @@ class Ends:
 
         NaN for trajectories that have failed in either.
         """
-        found = {}
+        by_name = {}
         for name in ERRORS:
             distance = _angle if name == "rotation" else _distance
             each = [distance(s[name], exact.states[link][name]) for link, s in self.states.items()]
             largest = np.max(np.broadcast_arrays(*each, self.failed)[:-1], axis=0)
-            found[name] = np.where(self.failed | exact.failed, np.nan, largest)
-        return found
+            by_name[name] = np.where(self.failed | exact.failed, np.nan, largest)
+        return by_name
 
 
 def _angle(a: Array, b: Array) -> Array:
@@ -287,11 +287,11 @@ def _has(model: Model, cspace: str) -> bool:
 
 def normed(errors: Mapping[str, Array], norm: str) -> dict[str, float]:
     """Return the norm of each error over the trajectories with finite errors; NaN if none has."""
-    found = {}
+    norms = {}
     for name, each in errors.items():
         finite = each[np.isfinite(each)]
-        found[name] = float(NORMS[norm](finite)) if finite.size else np.nan
-    return found
+        norms[name] = float(NORMS[norm](finite)) if finite.size else np.nan
+    return norms
 
 
 def warn_of_runs(failed: list[str]) -> None:

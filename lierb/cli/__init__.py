@@ -1,4 +1,4 @@
-"""The `lierb` command. Needs click and rich: the extra `lierb[cli]`."""
+"""Define the `lierb` command, which needs click and rich: the extra `lierb[cli]`."""
 
 from lierb.cli.main import cli
 

@@ -1,4 +1,4 @@
-"""`lierb compare`: methods, c-spaces and steps side by side, on a study's problem."""
+"""Define `lierb compare`: methods, c-spaces and steps side by side, on a study's problem."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from lierb.analysis.comparison import Comparison
     from lierb.studies.description.study import Study
 
-MOST_BODIES = 64  # unless --n is given
+MOST_BODIES = 64  # most bodies that are compared unless --n is given
 
 
 def _words(_ctx: click.Context, _param: click.Parameter, given: tuple[str, ...]) -> list[str]:
@@ -36,7 +36,7 @@ def _numbers(ctx: click.Context, param: click.Parameter, given: tuple[str, ...])
 
 
 def _several(name: str, callback: Any, metavar: str, text: str) -> Any:
-    """Option for several values: with commas, or given more than once."""
+    """Return an option for several values: with commas, or given more than once."""
     return click.option(name, multiple=True, callback=callback, metavar=metavar, help=text)
 
 
@@ -144,7 +144,7 @@ def _print(comparison: Comparison, form: str | None) -> None:
 
 
 def _control(study: Study, dts: list[float], rtols: list[float]) -> dict[str, Any]:
-    """Steps and tolerances of the options, else those of the study."""
+    """Return steps and tolerances from the options, or else from the study."""
     run = study.integrate
     if not (dts or rtols):
         if run.is_adaptive:
@@ -156,7 +156,7 @@ def _control(study: Study, dts: list[float], rtols: list[float]) -> dict[str, An
 
 
 def _left_out(study: Study) -> list[str]:
-    """Keys of [integrate] that a comparison leaves out: its runs are whole, and save no rows."""
+    """Return the keys of [integrate] that a comparison, of whole runs without saved rows, omits."""
     run = study.integrate
     keys = ("dt_min", "dt_max", "max_steps", "save_every", "save_at", "record")
     left = [key for key in keys if getattr(run, key) not in (None, [])]
@@ -164,7 +164,7 @@ def _left_out(study: Study) -> list[str]:
 
 
 def _steps(study: Study) -> list[float]:
-    """Steps of the study; a single one with its half and its quarter, to give an order."""
+    """Return the steps of the study; add half and quarter to a single one, to give an order."""
     dts = study.integrate.dt
     return [dts[0], dts[0] / 2, dts[0] / 4] if len(dts) == 1 else dts
 

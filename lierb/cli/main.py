@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 
 NO_CACHE = (
-    "none: the JIT is off, or no folder can be written"  # printed instead of the cache's folder
+    "none: the JIT is off, or no folder can be written"  # text in place of the cache's folder
 )
 
 
@@ -203,7 +203,7 @@ def warmup(
 
 
 def _findings_table(report: PaperReport) -> Table:
-    """Table with a block of rows for each joint and c-space.
+    """Return a table with a block of rows for each joint and c-space.
 
     It is 79 columns wide, so that it fits where output is piped as well.
     """
@@ -243,7 +243,7 @@ def _findings_table(report: PaperReport) -> Table:
 
 
 def _error_cells(findings: list[Finding]) -> list[list[str]]:
-    """Cells of each step size: the step, the position error, the rotation error."""
+    """Return the cells of each step size: the step, the position error, the rotation error."""
     by_quantity = {finding.quantity: finding.errors for finding in findings}
     dts = findings[0].dts
     absent = [None] * len(dts)
@@ -261,7 +261,7 @@ def _number(error: float | None) -> str:
 
 
 def _judgement_cells(findings: list[Finding]) -> list[list[str]]:
-    """Cells of each error: name, observed order, verdict, claim, agreement."""
+    """Return the cells of each error: name, observed order, verdict, claim, agreement."""
     agreement = {True: "[green]yes[/]", False: "[bold red]NO[/]", None: "–"}
     return [
         [

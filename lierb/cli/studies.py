@@ -45,7 +45,7 @@ FOLDER = click.argument("folder", type=UserPath(exists=True, file_okay=False, pa
 
 
 def _readable(ctx: click.Context, _param: click.Parameter, given: Path) -> Path:
-    """Callback of STUDY: a file that can be read repeatedly until the command ends."""
+    """Return the path STUDY as a file that can be read repeatedly until the command ends."""
     path = ctx.with_resource(as_file(given))
     ctx.meta[COPIED] = path != given
     return path
@@ -58,7 +58,7 @@ STUDY = click.argument(
 
 
 def _changes(_ctx: click.Context, _param: click.Parameter, given: tuple[str, ...]) -> Changes:
-    """Callback of --set: changes by dotted keys."""
+    """Parse the option --set: changes by dotted keys."""
     try:
         pairs = [parsed(each) for each in given]
     except StudyError as error:
@@ -113,7 +113,7 @@ SET = click.option(
 @click.option("--report", is_flag=True, help="Write DIR/report.html at the end.")
 @click.option(
     "--only", type=int, metavar="TRAJECTORY",
-    help="Replay the trajectory of this number alone, everything recorded at each step.",
+    help="Replay the trajectory of this number alone, with everything recorded at each step.",
 )  # fmt: skip
 def run(
     study: Path,
@@ -145,7 +145,7 @@ def run(
     _require_one_way(workers, scheduler, gather, report, only)
     own = {"sample.n": n, "sample.seed": seed, "sample.stop_when": stop_when}
     changes = _merged(changes, {key: value for key, value in own.items() if value is not None})
-    loaded = Study.load(study, changes)  # errors come before any worker starts
+    loaded = Study.load(study, changes)  # reports errors before any worker starts
     if only is not None:
         _replay(loaded, folder, only, threads)
         return
@@ -303,7 +303,7 @@ def _report(dataset: Dataset, path: Path) -> None:
 
 
 def _show(dataset: Dataset) -> None:
-    from lierb.studies.findings.findings import findings, happened, indices, quantities
+    from lierb.studies.findings.findings import crossings, findings, indices, quantities
     from lierb.studies.findings.tables import (
         table_of,
         table_of_events,
@@ -314,15 +314,15 @@ def _show(dataset: Dataset) -> None:
     print_whole(table_of(findings(dataset)))
     click.echo()
     print_whole(table_of_quantities(quantities(dataset)))
-    if events := happened(dataset):
+    if events := crossings(dataset):
         click.echo()
         print_whole(table_of_events(events, dataset.manifest["study"]["integrate"]["t_end"]))
     if sensitivities := indices(dataset):
         click.echo()
         print_whole(table_of_indices(sensitivities))
-    done, asked = len(dataset.parts), dataset.manifest["asked"]
+    done, total = len(dataset.parts), dataset.manifest["asked"]
     state = dataset.rest(f"the rest with: {_again(dataset, '--resume')}")
-    click.echo(f"{dataset.folder}: {done} of {asked} parts{state}")
+    click.echo(f"{dataset.folder}: {done} of {total} parts{state}")
 
 
 def _end_with_failures(dataset: Dataset) -> None:
@@ -334,7 +334,7 @@ def _end_with_failures(dataset: Dataset) -> None:
     for remedy in failures.remedies:
         click.echo(wrapped(remedy))
     replay = _again(dataset, "--only", str(failures.trajectory))
-    click.echo(f"That one again, everything recorded:\n  {replay}")
+    click.echo(f"Replay trajectory {failures.trajectory}, with everything recorded:\n  {replay}")
 
 
 def _again(dataset: Dataset, *options: str) -> str:

@@ -1,4 +1,4 @@
-"""Output of commands: wide tables, and progress on standard error."""
+"""Print the output of commands: wide tables, and progress on standard error."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import click
 if TYPE_CHECKING:
     from rich.table import Table
 
-INTERRUPTED = 130  # 128 + SIGINT, as shells have it
+INTERRUPTED = 130  # exit code 128 + SIGINT, as of shells
 
 
 def print_whole(table: Table) -> None:

@@ -1,1 +1,1 @@
-"""Compilation of formulas to machine code by Numba and llvmlite, and its disk cache."""
+"""Compile formulas to machine code with Numba and llvmlite, and cache it on the disk."""

@@ -1,4 +1,4 @@
-"""Compilation of functions, once in each process, and the options common to all of them."""
+"""Compile functions, once in each process, with common options."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def compiled(dispatcher: Any, *args: Any) -> Callable[..., Any]:
         return dispatcher
     key = kinds_of(dispatcher, *args)
     if key not in _ready:
-        undisturbed(_compile, key, tuple(map(numba.typeof, args)))
+        run_uninterrupted(_compile, key, tuple(map(numba.typeof, args)))
     return _ready[key]
 
 
@@ -88,7 +88,7 @@ def _compile(key: tuple[Any, ...], operands: tuple[types.Type, ...]) -> None:
             _ready[key] = compile_leanly(key[0], operands)
 
 
-def undisturbed(work: Callable[..., None], *args: Any) -> None:
+def run_uninterrupted(work: Callable[..., None], *args: Any) -> None:
     """Run work(*args) to its end, even if Ctrl-C interrupts the caller.
 
     Python runs signal handlers in the main thread, between any two instructions. A handler that

@@ -1,4 +1,4 @@
-"""Disk cache of compiled code: one file for each kernel, named after all that its code depends on.
+"""Cache compiled code on the disk, one file a kernel, named after all that its code depends on.
 
 The cache has no index and no lock. A damaged, foreign or incomplete file counts as absent, and the
 kernel is compiled again. If a file cannot be written, a warning is issued.
@@ -53,12 +53,12 @@ class DiskCache(NullCache):
                 content = sealed.read(path, key)
                 if content is None:
                     continue
-                found = from_bytes(content, target_context)
+                code = from_bytes(content, target_context)
             except Exception:  # a foreign file may raise any exception
                 continue
             with suppress(OSError):
                 os.utime(path)  # time of the last use, for `_prune`
-            return found
+            return code
         return None
 
     def save_overload(self, sig: Any, data: Any) -> None:
@@ -84,7 +84,7 @@ class DiskCache(NullCache):
             yield from folder.glob(f".{self._stem}-*{SUFFIX}{sealed.UNFINISHED}")
 
     def entries(self) -> list[Path]:
-        """Files with code of this version of the sources, in all folders."""
+        """Return the files with code of this version of the sources, in all folders."""
         mine = self._prefix
         return [
             path
@@ -123,7 +123,7 @@ class DiskCache(NullCache):
                         path.unlink()
                 elif path.name.startswith(mine):
                     kept.append((status.st_mtime, status.st_size, path))
-                else:  # of edited sources or another release of Numba
+                else:  # files of edited sources or of another release of Numba
                     path.unlink()
         excess = sum(size for _, size, _ in kept) - MOST_BYTES
         for _, size, path in sorted(kept):
@@ -134,7 +134,7 @@ class DiskCache(NullCache):
             excess -= size
 
 
-_caches: list[DiskCache] = []  # of this process
+_caches: list[DiskCache] = []  # caches of this process
 
 
 def clear() -> dict[Path, int]:

@@ -10,7 +10,7 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic, overload
 
-from lierb.compiler.code import compiling, kinds_of, undisturbed
+from lierb.compiler.code import compiling, kinds_of, run_uninterrupted
 from lierb.compiler.internals import (
     INT64,
     address_of,
@@ -22,10 +22,10 @@ from lierb.compiler.internals import (
 )
 from lierb.compiler.tags import Tag
 
-_plain: list[partial[Any]] = []  # with the JIT off; an entry is an index in it, plus 1
-_entries: dict[tuple[Any, ...], int] = {}  # by the kinds of the arguments
+_plain: list[partial[Any]] = []  # functions with the JIT off; an entry is an index, plus 1
+_entries: dict[tuple[Any, ...], int] = {}  # entries by the kinds of the arguments
 _addresses: dict[tuple[Any, ...], int] = {}  # addresses by the types of the arguments
-_callable: set[tuple[types.Type, ...]] = set()  # argument types of code with an entry, but the tag
+_callable: set[tuple[types.Type, ...]] = set()  # argument types of entries, without the tag
 
 
 def entry_of(dispatcher: Any, tag: Tag, *args: Any) -> Any:
@@ -43,7 +43,7 @@ def entry_of(dispatcher: Any, tag: Tag, *args: Any) -> Any:
         return _entries[known]
     key = kinds_of(dispatcher, tag, *args)
     if key not in _entries:
-        undisturbed(_enter, key, tuple(map(numba.typeof, (tag, *args))))
+        run_uninterrupted(_enter, key, tuple(map(numba.typeof, (tag, *args))))
     return _entries[key]
 
 
@@ -60,7 +60,7 @@ def _enter(key: tuple[Any, ...], operands: tuple[types.Type, ...]) -> None:
 
 
 def kernels_loaded() -> int:
-    """Number of kernels in this process's memory."""
+    """Return the number of kernels in this process's memory."""
     return len(_addresses)
 
 

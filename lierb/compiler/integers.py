@@ -1,4 +1,4 @@
-"""Checked integers in functions that Numba compiles: overflow of 64 bits raises an error.
+"""Check integers in functions that Numba compiles: overflow of 64 bits raises an error.
 
 Python's integers have any number of digits. Numba's wrap at 64 bits, and a conversion of a larger
 float is undefined. `CheckedIntegers` compiles a function with the implementations below in place of
@@ -59,7 +59,7 @@ def _kind(*kinds: types.Type) -> Any:
 
 
 def _with_overflow(operation: str) -> Any:
-    """Intrinsic (a, b) → (a ∘ b modulo 2⁶⁴, overflow flag) on 64-bit integers of one type."""
+    """Return the intrinsic (a, b) → (a ∘ b modulo 2⁶⁴, overflow flag) for a 64-bit integer type."""
 
     @intrinsic
     def computed(context, a, b):
@@ -82,10 +82,10 @@ def _checked(computed: Any) -> Any:
             return None
 
         def implementation(a, b):
-            found, is_beyond = computed(whole(a), whole(b))
+            result, is_beyond = computed(whole(a), whole(b))
             if is_beyond:
                 raise OverflowError(BEYOND)
-            return found
+            return result
 
         return implementation
 
@@ -117,14 +117,14 @@ def power(a, b):
     def implementation(a, b):
         if b < 0:
             raise ValueError(TO_NEGATIVE)
-        found, factor, rest = whole(1), whole(a), np.int64(b)
+        result, factor, rest = whole(1), whole(a), np.int64(b)
         while rest > 0:
             if rest & 1:
-                found = times(found, factor)
+                result = times(result, factor)
             rest >>= 1
             if rest > 0:
                 factor = times(factor, factor)
-        return found
+        return result
 
     return implementation
 
@@ -206,10 +206,10 @@ def total(members):
 @_stands_for(sum)
 def total_from(members, start):
     def implementation(members, start):
-        found = np.int64(start)
+        result = np.int64(start)
         for member in members:
-            found = plus(found, member)
-        return found
+            result = plus(result, member)
+        return result
 
     return implementation if _are_whole(members) and _kind(start) is np.int64 else None
 
@@ -218,15 +218,15 @@ def total_from(members, start):
 
 
 def _whole_part(kind: types.Integer, whole: Any) -> Any:
-    """Conversion of a float to an integer type, after rounding by `whole`."""
+    """Return the conversion of a float to an integer type, after rounding by `whole`."""
     lowest, beyond, convert = float(kind.minval), float(kind.maxval + 1), getattr(np, kind.name)
 
     def typed(x):
         def of_float(x):
-            found = whole(np.float64(x))
-            if not lowest <= found < beyond:
+            number = whole(np.float64(x))
+            if not lowest <= number < beyond:
                 raise OverflowError(NO_WHOLE)
-            return convert(found)
+            return convert(number)
 
         return of_float if isinstance(x, types.Float) else None
 
@@ -234,15 +234,15 @@ def _whole_part(kind: types.Integer, whole: Any) -> Any:
 
 
 def _of_kind(kind: types.Integer) -> Any:
-    """Conversion of any number to an integer type."""
+    """Return the conversion of any number to an integer type."""
     of_float, convert = _whole_part(kind, np.trunc), getattr(np, kind.name)
 
     def typed(x):
         def of_integer(x):
-            found = convert(x)
-            if found != x:
+            number = convert(x)
+            if number != x:
                 raise OverflowError(NO_WHOLE)
-            return found
+            return number
 
         return of_integer if isinstance(x, types.Integer) else of_float(x)
 

@@ -1,4 +1,4 @@
-"""Undocumented parts of Numba on which lierb relies; no other module imports any of them.
+"""Wrap the undocumented parts of Numba on which lierb relies; no other module imports any of them.
 
 tests/compiler/test_internals.py has a test for each imported name and each function: if a release
 of Numba changes one, its test fails. The releases that pass determine the bounds of numba in
@@ -54,7 +54,7 @@ ALLOCATES_NOTHING = {"_nrt": False}
 
 
 def tracing_context() -> Any:
-    """Numba's target context, for the layout of values outside of a compilation."""
+    """Return Numba's target context, for the layout of values outside of a compilation."""
     return cpu_target.target_context
 
 
@@ -212,7 +212,7 @@ def machine_of(codegen: Any) -> tuple[Any, ...]:
 
 
 def as_bytes(result: Any) -> bytes | None:
-    """Serialise a compile result; None if the code is valid in this process only."""
+    """Serialise a compile result; return None if the code is valid in this process only."""
     if any(not lifted.can_cache for lifted in result.lifted) or result.library.has_dynamic_globals:
         return None
     return bytes(dumps(result._reduce()))
@@ -233,7 +233,7 @@ def from_bytes(content: bytes, context: Any) -> Any:
 
 
 def compiler_that_replaces(functions: Mapping[Any, Any]) -> type[CompilerBase]:
-    """Pipeline class for njit that replaces operators and calls with integer results, and ufuncs.
+    """Return a pipeline for njit that replaces integer-valued operators and calls, and ufuncs.
 
     functions : replacement by (operator, function or type, number of operands). A replacement is
         a function with overloads, used where an overload accepts the operands' types.
@@ -247,8 +247,8 @@ def compiler_that_replaces(functions: Mapping[Any, Any]) -> type[CompilerBase]:
             super().__init__()
 
         def run_pass(self, state: Any) -> bool:
-            found = [_replace(state, functions, step) for step in _assignments(state.func_ir)]
-            return any(found)
+            replaced = [_replace(state, functions, step) for step in _assignments(state.func_ir)]
+            return any(replaced)
 
     class Compiler(CompilerBase):
         def define_pipelines(self) -> list[Any]:
@@ -288,7 +288,7 @@ def _replace(state: Any, functions: Mapping[Any, Any], step: Any) -> bool:
         return False
     context = state.typingctx
     try:
-        found = context.resolve_function_type(context.resolve_value_type(function), kinds, {})
+        signature = context.resolve_function_type(context.resolve_value_type(function), kinds, {})
     except TypingError:
         return False
     if len(operands) == 1:
@@ -297,7 +297,7 @@ def _replace(state: Any, functions: Mapping[Any, Any], step: Any) -> bool:
         static = dict.fromkeys(("static_lhs", "static_rhs"), numba_ir.UNDEFINED)
         lhs, rhs = operands
         new = numba_ir.Expr("binop", step.loc, fn=function, lhs=lhs, rhs=rhs, **static)
-    step.value, state.calltypes[new] = new, found
+    step.value, state.calltypes[new] = new, signature
     return True
 
 

@@ -1,4 +1,4 @@
-"""Helpers of @njit loops: functions that run compiled or not, and memory at an address."""
+"""Support @njit loops: functions that run compiled or not, and memory at an address."""
 
 from __future__ import annotations
 
@@ -62,10 +62,10 @@ def _array_at(axes: int, item: types.Type) -> Any:
             strides = [context.get_constant(types.intp, dtype.itemsize)]
             for extent in reversed(shape[1:]):
                 strides.insert(0, builder.mul(extent, strides[0]))
-            found = context.make_array(made)(context, builder)
+            view = context.make_array(made)(context, builder)
             data = builder.inttoptr(address, context.get_data_type(item).as_pointer())
-            populate_array(found, data, shape, strides, strides[-1], meminfo=None)
-            return found._getvalue()
+            populate_array(view, data, shape, strides, strides[-1], meminfo=None)
+            return view._getvalue()
 
         return made(place), generate
 

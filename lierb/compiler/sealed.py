@@ -1,4 +1,4 @@
-"""Files of the disk cache, verified by a key and a digest.
+"""Read and write files of the disk cache, verified by a key and a digest.
 
 A file holds the digest of the rest, the whole key, and the content. It is written under a temporary
 name and renamed. A file with another key or digest counts as absent.
@@ -34,8 +34,8 @@ def folders_of(function: Callable[..., Any]) -> list[Path]:
         if numba.config.CACHE_DIR
         else [InTreeCacheLocator, UserWideCacheLocator]
     )
-    found = (Path(each(function, source).get_cache_path()) for each in chosen)
-    return [folder for folder in found if folder.is_absolute() or numba.config.CACHE_DIR]
+    folders = (Path(each(function, source).get_cache_path()) for each in chosen)
+    return [folder for folder in folders if folder.is_absolute() or numba.config.CACHE_DIR]
 
 
 def read(path: Path, key: str) -> bytes | None:

@@ -52,7 +52,7 @@ SOURCES = dict(_read(str(Path(__file__).parents[1]), PACKAGE))
 
 @cache
 def source_stamp(*modules: str) -> str:
-    """Digest of the sources of these modules' code and of the compiler's versions."""
+    """Return a digest of the sources of these modules' code and of the compiler's versions."""
     versions = numba.__version__, llvmlite.__version__, np.__version__  # NumPy computes constants
     described = repr((versions, sorted(parts(*modules).items())))
     return hashlib.sha256(described.encode()).hexdigest()[:16]
@@ -61,16 +61,16 @@ def source_stamp(*modules: str) -> str:
 def parts(*modules: str) -> dict[str, str]:
     """Return digests of the syntax trees of these modules and all that they import, by name."""
     _recall()
-    known, found, ahead = len(_trees), {}, list(modules)
+    known, trees, ahead = len(_trees), {}, list(modules)
     while ahead:
         module = ahead.pop()
-        if module not in found:
-            found[module], names = _tree_of(module)
+        if module not in trees:
+            trees[module], names = _tree_of(module)
             for name in names:
                 ahead += SOURCES if name == ANYTHING else _modules_of(name)
     if len(_trees) > known:
         _remember()
-    return found
+    return trees
 
 
 def _modules_of(name: str) -> list[str]:
@@ -79,9 +79,9 @@ def _modules_of(name: str) -> list[str]:
     lierb/__init__.py, which imports all of lierb, counts only if no other module has the name.
     """
     words = name.split(".")
-    found = [".".join(words[:n]) for n in range(1, len(words) + 1)]
-    found = [module for module in found if module in SOURCES]
-    return found[1:] or found
+    candidates = [".".join(words[:n]) for n in range(1, len(words) + 1)]
+    candidates = [module for module in candidates if module in SOURCES]
+    return candidates[1:] or candidates
 
 
 # ---- syntax trees ------------------------------------------------------------------------------

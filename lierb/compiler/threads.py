@@ -20,5 +20,5 @@ def begun(work: Callable[..., Any], *args: Any) -> Callable[[], Any]:
         waiting = pool.submit(copy_context().run, work, *args)
         pool.shutdown(wait=False)
         return waiting.result
-    found = work(*args)
-    return lambda: found
+    outcome = work(*args)
+    return lambda: outcome

@@ -254,7 +254,7 @@ class ButcherTableau:
                 f"exponentials has {len(items)} entries; expected {self.stages + 1}, one for each "
                 "stage and one for the end of the step"
             )
-        found = []
+        weights = []
         for i, (item, whole) in enumerate(zip(items, (*self.A, self.b), strict=True)):
             what = f"exponentials[{i}]"
             rows = tuple(
@@ -265,8 +265,8 @@ class ButcherTableau:
                 name = f"b[{j}]" if i == self.stages else f"A[{i}][{j}]"
                 _require_sum((row[j] for row in rows), weight, f"column {j} of {what}",
                              f"{name} = {weight!r}")  # fmt: skip
-            found.append(rows)
-        self._set("exponentials", tuple(found))
+            weights.append(rows)
+        self._set("exponentials", tuple(weights))
 
     @property
     def stages(self) -> int:

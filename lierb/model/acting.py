@@ -21,7 +21,7 @@ from lierb.model.functions.observables import Observable
 from lierb.model.functions.states import ExtraStates
 from lierb.model.functions.wrenches import Force
 from lierb.model.joints.joint import Joint
-from lierb.support.shown import quantity
+from lierb.support.representations import quantity
 
 # Arguments of problems and mechanisms that are elements, in the order of all elements.
 ELEMENTS: dict[str, type[Element]] = {

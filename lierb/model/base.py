@@ -37,13 +37,13 @@ from lierb.support.arrays import (
     member_of,
     pose_components,
 )
-from lierb.support.shown import Shown
+from lierb.support.representations import Represented
 
 DESCRIBED = ("forces", "constraints", "observables")  # in metadata, even if there are none
 
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
-class Model(Shown):
+class Model(Represented):
     """Rigid bodies, their joints, and the elements that act on them; one model or a batch.
 
     A `Problem` is a model of one link, which has the name "" and a joint without a name. Its poses

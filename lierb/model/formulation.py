@@ -49,21 +49,21 @@ def solver_of(
         return "subgroup"
     if cspace != "reduced" and solver != "subgroup":
         return "saddle"
-    asked = 'cspace="reduced"' if cspace == "reduced" else 'solver="subgroup"'
+    label = 'cspace="reduced"' if cspace == "reduced" else 'solver="subgroup"'
     if solver == "saddle":
-        raise ArgumentError(f"{asked} has no saddle point to solve; leave solver out")
+        raise ArgumentError(f"{label} has no saddle point to solve; leave solver out")
     if constraints:
         other = 'cspace="SE3"' if cspace == "reduced" else 'solver="saddle"'
-        raise ArgumentError(f"{asked} has no constraints, but {constraints[0]} is one; use {other}")
+        raise ArgumentError(f"{label} has no constraints, but {constraints[0]} is one; use {other}")
     if not is_proper:
         proper = ", ".join(n for n, j in JOINTS.items() if j.subgroup and j.rows)
         raise ArgumentError(
-            f"{asked} needs a joint whose motions are a proper subgroup of SE(3) ({proper}), not a "
+            f"{label} needs a joint whose motions are a proper subgroup of SE(3) ({proper}), not a "
             f"{joint.name} joint"
         )
     if not has_subgroup:
         raise ArgumentError(
-            f'{asked} needs cspace="SE3" or "reduced" and check="raise", got cspace="{cspace}" and '
+            f'{label} needs cspace="SE3" or "reduced" and check="raise", got cspace="{cspace}" and '
             f'check="{check}"; leave solver out'
         )
     return "subgroup"

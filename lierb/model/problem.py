@@ -51,11 +51,11 @@ from lierb.support.arrays import (
     assembled,
     components,
     finite,
+    items_at,
     pose_components,
     pose_matrix,
-    taken,
 )
-from lierb.support.shown import Lines, counted, quantity
+from lierb.support.representations import Lines, counted, quantity
 
 AT_REST = Load(ZERO3, ZERO3, ZERO3)
 CLOSED_POSE = np.full((4, 4), np.nan)  # input value that represents the pose of the closed joint
@@ -124,9 +124,9 @@ class Problem(Model):
             raise ArgumentError(f"{len(self.rows)} constraint rows; at most {MOST_ROWS} are solved")
         self.batch_size()
 
-    def _shown(self) -> tuple[str, Lines]:
-        _, mass = self.body._shown()
-        name, joint = self.joint._shown()
+    def _representation(self) -> tuple[str, Lines]:
+        _, mass = self.body._representation()
+        name, joint = self.joint._representation()
         rows = [
             ("body", "\n".join(f"{label} {text}" for label, text in mass)),
             ("joint", "\n".join((name, *(f"{label} {text}" for label, text in joint)))),
@@ -144,7 +144,7 @@ class Problem(Model):
         return self.body, self.joint, self.gravity
 
     def _structure_of(self, which: Which) -> tuple[Any, ...]:
-        return self.body.of(which), self.joint.of(which), taken(self.gravity, which, 1)
+        return self.body.of(which), self.joint.of(which), items_at(self.gravity, which, 1)
 
     @cached_property
     def rows(self) -> Rows:

@@ -26,11 +26,11 @@ def colours_of(cspaces: Sequence[str | None]) -> list[str]:
     own = {c: CSPACE_COLOURS[c] for c in cspaces if c in CSPACE_COLOURS}
     kept = {*own.values(), *(CSPACE_COLOURS[cspace] for cspace in CSPACE_NAMES)}
     left = [colour for colour in COLOURS if colour not in kept]
-    found, others = [], 0
+    colours, others = [], 0
     for cspace in cspaces:
         if cspace in own:
-            found.append(own.pop(cspace))
+            colours.append(own.pop(cspace))
         else:
-            found.append(left[others % len(left)])
+            colours.append(left[others % len(left)])
             others += 1
-    return found
+    return colours

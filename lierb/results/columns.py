@@ -1,4 +1,4 @@
-"""Arrow columns around NumPy's memory.
+"""Make Arrow columns around NumPy's memory.
 
 `pyarrow.array` is not used: it imports pandas if that is installed, which adds 0.2 s to the first
 result of each process.
@@ -87,6 +87,6 @@ DTYPES = {pa.from_numpy_dtype(code): np.dtype(code) for code in "bhilBHILefd"}
 def numbers_of(array: pa.Array) -> NDArray:
     """Return an Arrow array as a NumPy array; `to_numpy()` would import pandas."""
     dtype, buffer = DTYPES[array.type], array.buffers()[1]
-    found: NDArray = np.ndarray(len(array), dtype, buffer, array.offset * dtype.itemsize)
-    found.setflags(write=False)
-    return found
+    numbers: NDArray = np.ndarray(len(array), dtype, buffer, array.offset * dtype.itemsize)
+    numbers.setflags(write=False)
+    return numbers

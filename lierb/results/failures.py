@@ -1,4 +1,4 @@
-"""Failed trajectories: their statuses, messages and warnings."""
+"""Report failed trajectories: their statuses, messages and warnings."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ STATUS_NAMES = {
     DT_MIN: "dt_min",
     EVENT: "event",
 }
-FINE = (STATUS_NAMES[OK], STATUS_NAMES[EVENT])  # statuses without failure
+SUCCESSES = (STATUS_NAMES[OK], STATUS_NAMES[EVENT])  # statuses without failure
 REMEDIES = {
     "singular": "singular: the constraint rows contradicted each other, as in a configuration that "
     "the joint cannot be in, or where it has drifted open; or a projection onto them was larger "
@@ -51,8 +51,8 @@ COLUMNS = ("trajectory", "status", "t")
 def has_failed(summary: pa.Table) -> NDArray[np.bool_]:
     """True for each row whose status is neither ok nor event."""
     codes, names = as_codes(summary["status"])
-    found: NDArray[np.bool_] = np.array([name not in FINE for name in names])[codes]
-    return found
+    failed: NDArray[np.bool_] = np.array([name not in SUCCESSES for name in names])[codes]
+    return failed
 
 
 @dataclass(frozen=True)
@@ -91,13 +91,13 @@ class Failures:
         codes, names = as_codes(summary["status"])
         counts = np.bincount(codes[failed], minlength=len(names))
         first = _row(summary, int(failed.argmax()))
-        found = {name: int(count) for name, count in zip(names, counts, strict=True) if count}
+        numbers = {name: int(count) for name, count in zip(names, counts, strict=True) if count}
         raised = None
-        if STATUS_NAMES[RAISED] in found:
+        if STATUS_NAMES[RAISED] in numbers:
             row = _row(summary, int((codes == names.index(STATUS_NAMES[RAISED])).argmax()))
             what = (summary.schema.metadata or {}).get(RAISED_KEY, b"").decode()
             raised = Raised(row["trajectory"], row["t"], what) if what else None
-        return cls(len(failed), found, **first, raised=raised)
+        return cls(len(failed), numbers, **first, raised=raised)
 
     @classmethod
     def joined(cls, each: Sequence[Failures], runs: int) -> Failures | None:
@@ -127,7 +127,7 @@ class Failures:
 
     @property
     def _exception(self) -> str:
-        """Text of the first exception; names its trajectory if it is not the first failed one."""
+        """Describe the first exception; name its trajectory unless it failed first."""
         if self.raised is None:
             return ""
         raised = self.raised
@@ -137,13 +137,13 @@ class Failures:
 
     @property
     def remedies(self) -> list[str]:
-        """Meaning and remedy of each status."""
+        """Return the meaning and remedy of each status."""
         return [REMEDIES[status] for status in self.counts]
 
 
 def _row(summary: pa.Table, number: int) -> dict[str, Any]:
-    (found,) = summary.select(COLUMNS).slice(number, 1).to_pylist()
-    row: dict[str, Any] = found
+    (values,) = summary.select(COLUMNS).slice(number, 1).to_pylist()
+    row: dict[str, Any] = values
     return row
 
 

@@ -1,4 +1,4 @@
-"""Figure of a history: motion, energy, errors and other recorded columns over time.
+"""Draw a history: motion, energy, errors and other recorded columns over time.
 
 Every column of numbers has a panel with its name and unit. Needs Matplotlib: the extra
 `lierb[plot]`.
@@ -36,10 +36,10 @@ from lierb.results.plots import STYLE, ShownFigure  # noqa: E402
 MOST_LINES = 6  # most trajectories drawn one by one; for more, quantiles are drawn
 ACROSS = 3  # panels in a row
 MOST_BESIDE = 24  # most characters of a legend beside a panel's title
-DASHES = ("-", "--", ":", "-.", (0, (5, 1, 1, 1, 1, 1)), (0, (1, 3)))  # of a vector's components
+DASHES = ("-", "--", ":", "-.", (0, (5, 1, 1, 1, 1, 1)), (0, (1, 3)))  # of components
 KEYS = ("trajectory", "step", "t")
 STATE = ("rotation", "position", "omega", "v")
-SELDOM = ("velocity_error", "rotation_rate_error", "work", "v")  # drawn on request
+ON_REQUEST = ("velocity_error", "rotation_rate_error", "work", "v")  # drawn on request
 COORDINATES = ("angles", "slides")  # panels of the joints of a mechanism
 MOTION = ("angles", "trace", "position", "omega")  # panels of the state
 QUANTILES = (0.05, 0.5, 0.95)
@@ -76,10 +76,10 @@ def _chosen(
     for name in names:
         if name not in made:
             raise unknown_name("columns", name, made)
-    often = {name for name in made if name not in SELDOM and "." not in name}
-    if not often & {*MOTION, *COORDINATES}:  # a mechanism whose joints are unknown
-        often |= {name for name in made if name.rpartition(".")[2] in MOTION}
-    return [make for name, make in made.items() if name in (names or often)]
+    default = {name for name in made if name not in ON_REQUEST and "." not in name}
+    if not default & {*MOTION, *COORDINATES}:  # a mechanism whose joints are unknown
+        default |= {name for name in made if name.rpartition(".")[2] in MOTION}
+    return [make for name, make in made.items() if name in (names or default)]
 
 
 def _numbers(given: Any, count: int) -> list[int]:
@@ -121,7 +121,7 @@ def _panels(
     if set(STATE) <= {*history.column_names}:
         state = State(result, known)
         for name in MOTION:
-            is_taken = name not in STATE and name in history.column_names  # by an observable
+            is_taken = name not in STATE and name in history.column_names  # named by an observable
             made[f"{name} of the motion" if is_taken else name] = getattr(state, name)
     for column in history.schema:
         if column.name in (*KEYS, *STATE[:-1]) or not _is_number(column.type):
@@ -183,8 +183,8 @@ def _of_column(history: pa.Table, column: pa.Field, count: int) -> dict[str, Cal
 # ---- looks -------------------------------------------------------------------------------------
 
 
-def _drawn(found: Sequence[Panel | Trace | None], t: Array, chosen: list[int]) -> Figure:
-    panels = [panel for panel in found if panel is not None]
+def _drawn(made: Sequence[Panel | Trace | None], t: Array, chosen: list[int]) -> Figure:
+    panels = [panel for panel in made if panel is not None]
     across = min(ACROSS, len(panels)) or 1
     down = -(-len(panels) // across) or 1
     figure = ShownFigure(figsize=(4.2 * across, 2.7 * down + 0.5), layout="constrained")

@@ -1,4 +1,4 @@
-"""Panels of motion over time: coordinates, position, direction and angular velocity."""
+"""Draw motion over time: coordinates, position, direction and angular velocity."""
 
 from __future__ import annotations
 
@@ -63,8 +63,8 @@ class Coordinates:
         return self._panel("joint slides", "m")
 
     def _panel(self, title: str, unit: str) -> Panel | None:
-        found = [Series(label, values) for label, own, values in self._series if own == unit]
-        return Panel(title, unit, tuple(found)) if found else None
+        series = [Series(label, values) for label, own, values in self._series if own == unit]
+        return Panel(title, unit, tuple(series)) if series else None
 
     @cached_property
     def _series(self) -> list[tuple[str, str, Array]]:
@@ -83,7 +83,7 @@ class Coordinates:
 
     @cached_property
     def _coordinates(self) -> dict[str, Array]:
-        """Coordinates of each link, (times, trajectories, k); NaN after a failure."""
+        """Return the coordinates of each link, (times, trajectories, k); NaN after a failure."""
         poses: dict[str, Array] = {}
         for name in self.mechanism.names:
             link = self.result[name]
@@ -97,10 +97,10 @@ class Coordinates:
             self.mechanism.coordinates({name: pose[k] for name, pose in poses.items()})
             for k in range(len(lost))
         ]
-        found = {name: np.stack([at[name] for at in each]) for name in each[0]}
-        for values in found.values():
+        arrays = {name: np.stack([at[name] for at in each]) for name in each[0]}
+        for values in arrays.values():
             values[lost] = np.nan
-        return found
+        return arrays
 
 
 class State:
@@ -126,7 +126,7 @@ class State:
             assert self.problem is not None
             names = self.problem.joint.coordinate_names
             if "phi" not in names:
-                return None  # it does not turn
+                return None  # the body does not turn
             turns = self._coordinates()[..., names.index("phi")]
             return Panel("angle of the joint", "rad", (Series("φ", np.unwrap(turns, axis=0)),))
         if np.ptp(np.nan_to_num(self.rotation - self.rotation[:1])) == 0.0:
@@ -179,9 +179,9 @@ class State:
         poses[..., :3, :3], poses[..., :3, 3], poses[..., 3, 3] = self.rotation, self.place, 1.0
         lost = ~np.isfinite(poses).all(axis=(2, 3))
         poses[lost] = np.eye(4)
-        found = np.stack([joint.coordinates(each) for each in poses])
-        found[lost] = np.nan
-        return found
+        angles = np.stack([joint.coordinates(each) for each in poses])
+        angles[lost] = np.nan
+        return angles
 
     def _axis(self) -> tuple[Array, Array, str]:
         """Return the body's axis, (times, trajectories, 3), the vertical, and the axis's name.

@@ -1,4 +1,4 @@
-"""Figures drawn from lierb's Arrow tables. Needs Matplotlib: the extra `lierb[plot]`."""
+"""Draw figures of lierb's Arrow tables with Matplotlib: the extra `lierb[plot]`."""
 
 from __future__ import annotations
 

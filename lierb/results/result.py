@@ -26,7 +26,7 @@ from lierb.results.states import (
     _unit,
 )
 from lierb.support.extras import require
-from lierb.support.shown import FAILED, Lines, counted, steps_told
+from lierb.support.representations import FAILED, Lines, counted, steps_text
 
 if TYPE_CHECKING:
     import pandas
@@ -240,7 +240,7 @@ class Result(RunStates):
             columns |= _scalars(each, table[each.name])
         return pa.Table.from_arrays(list(columns.values()), schema=pa.schema(list(columns)))
 
-    def _shown(self) -> tuple[str, Lines]:
+    def _representation(self) -> tuple[str, Lines]:
         options = _metadata(self.summary).get("options")
         title = f"lierb.Result: {counted(self.summary.num_rows, 'trajectory', 'trajectories')}"
         if self.links:
@@ -249,7 +249,7 @@ class Result(RunStates):
         if options:
             times = "from t = {t0:g} s to {t_end:g} s" if options["t0"] else "to t = {t_end:g} s"
             text = f" {times} ({{cspace}}, {{method}}, ".format(**options)
-            title += f"{text}{steps_told(options)})"
+            title += f"{text}{steps_text(options)})"
         failures = Failures.of(self.summary)
         rows = [("status", self._ends_text())] if failures is None else [(FAILED, str(failures))]
         if "steps" in self.summary.column_names:

@@ -20,17 +20,17 @@ from lierb.model.functions.column_names import COMPONENTS
 from lierb.results.columns import as_array, numbers
 from lierb.runs.continuation import End
 from lierb.support.arrays import Array, assembled, components
-from lierb.support.shown import Lines, Shown, counted
+from lierb.support.representations import Lines, Represented, counted
 
 STATE = ("t", "position", "rotation", "quaternion", "omega", "v")
 
 
-NAMED = 3  # links in a message
+NAMED = 3  # most links named in a message
 LARGEST = ("position_error", "rotation_error", "energy_drift")
 
 
 @dataclass(frozen=True, repr=False)
-class States(Shown):
+class States(Represented):
     """State of one body or link as NumPy arrays, read from the tables of a run."""
 
     summary: pa.Table
@@ -69,7 +69,7 @@ class States(Shown):
         saved rows. Along a history the sign jumps where w would pass through 0. The quaternion is
         computed from `rotation` on access.
         """
-        p = so3.quaternion(components(self._state("rotation", 3, 3, asked="quaternion"), 2))
+        p = so3.quaternion(components(self._state("rotation", 3, 3, quantity="quaternion"), 2))
         unit = assembled(scale(1.0 / norm(p), p))
         unit.setflags(write=False)
         return unit
@@ -89,8 +89,8 @@ class States(Shown):
         """True if the history has the state; the arrays are then those of the history."""
         return self.history is not None and f"{self._prefix}position" in self.history.column_names
 
-    def _state(self, name: str, *item: int, asked: str = "") -> Array:
-        """asked : name of the requested quantity, for messages."""
+    def _state(self, name: str, *item: int, quantity: str = "") -> Array:
+        """Return a state array.   quantity : name of the requested quantity, for messages."""
         if self.history is not None and self.has_states:
             return self._array(self.history, f"{self._prefix}{name}", *item)
         return np.asarray(self._array(self.summary, f"{self._prefix}{name}", *item)[0])
@@ -124,7 +124,7 @@ class LinkResult(States):
     def _prefix(self) -> str:
         return f"{self.name}."
 
-    def _shown(self) -> tuple[str, Lines]:
+    def _representation(self) -> tuple[str, Lines]:
         count = counted(self.summary.num_rows, "trajectory", "trajectories")
         rows = [("arrays", f"{', '.join(STATE)}: {self._array_shape()}")]
         return f"lierb.results.states.LinkResult {self.name!r}: {count}", rows
@@ -142,15 +142,15 @@ def _momentum_of(body: Body, link: States) -> Vec:
 def _metadata(table: pa.Table) -> dict[str, Any]:
     """Return the metadata of a table as a dictionary."""
     metadata = (table.schema.metadata or {}).get(b"lierb")
-    found: dict[str, Any] = json.loads(metadata) if metadata else {}
-    return found
+    content: dict[str, Any] = json.loads(metadata) if metadata else {}
+    return content
 
 
 def _kinds_of(metadata: dict[str, Any]) -> list[str]:
     """Return the members of LARGEST with rows; a constraint's row may be of either kind."""
     kinds = {"energy_drift"}
     for name in metadata.get("problem", {}).get("rows", [""]):
-        row = JOINT_ROWS.get(name.rpartition(".")[2])  # of a mechanism, the joint's name before
+        row = JOINT_ROWS.get(name.rpartition(".")[2])  # a mechanism has a prefix
         kinds.update([f"{row.error_kind}_error"] if row else LARGEST)
     return [name for name in LARGEST if name in kinds]
 
@@ -189,7 +189,7 @@ class RunStates(States):
 
     @property
     def links(self) -> tuple[str, ...]:
-        """Names of the links of a mechanism; empty for a single body."""
+        """Return the names of the links of a mechanism; empty for a single body."""
         ends = (n.rpartition(".") for n in self.summary.column_names)
         return tuple(link for link, _, what in ends if link and what == "rotation")
 
@@ -241,12 +241,12 @@ class RunStates(States):
             total = add(total, _momentum_of(body, self[name] if name else self))
         return assembled(total)
 
-    def _state(self, name: str, *item: int, asked: str = "") -> Array:
+    def _state(self, name: str, *item: int, quantity: str = "") -> Array:
         if self.links:
-            asked = asked or name
+            quantity = quantity or name
             raise ArgumentError(
-                f"result.{asked}: every link has its own; take "
-                f"{', '.join(f'result[{link!r}].{asked}' for link in self.links[:NAMED])}"
+                f"result.{quantity}: every link has its own; take "
+                f"{', '.join(f'result[{link!r}].{quantity}' for link in self.links[:NAMED])}"
                 f"{', …' if len(self.links) > NAMED else ''}"
             )
         return super()._state(name, *item)

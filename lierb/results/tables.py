@@ -45,7 +45,7 @@ _schemas: dict[tuple[str, ...], pa.Schema] = {}  # by column names and units of 
 def _table(
     columns: dict[str, pa.Array], metadata: str, covers: Covers, units: dict[str, str]
 ) -> pa.Table:
-    """units : units of columns that are not in UNITS, by column name."""
+    """Return a table.   units : units of columns that are not in UNITS, by column name."""
     key = (*columns, *covers, *units.values())
     if key not in _schemas:
         _schemas[key] = _schema(columns, covers, units)
@@ -56,7 +56,7 @@ def _table(
 def _schema(columns: dict[str, pa.Array], covers: Covers, units: dict[str, str]) -> pa.Schema:
     fields = []
     for name, array in columns.items():
-        of_all = name.rpartition(".")[2]  # of a mechanism: link or joint, then quantity
+        of_all = name.rpartition(".")[2]  # columns of a mechanism: link or joint, then quantity
         plain = of_all.removesuffix("_max").removesuffix("_final")
         unit = units[name] if name in units else UNITS.get(plain)
         described = {"unit": unit} if unit else {}
@@ -110,20 +110,20 @@ def size_of_tables(plan: AnyPlan, count: int, rows: int, recorded: tuple[str, ..
     with_state, has_lanes = "state" in recorded, plan.has_lane_clocks
     links = system_of(plan).links
     is_copied = with_state and rows + has_lanes > 1
-    copied = POSE_AND_TWIST.count * links if is_copied else 0  # of the end
+    copied = POSE_AND_TWIST.count * links if is_copied else 0  # pose and twist at the end
     turned = sum(prod(shape) for _, shape in (*states_of(plan), *outputs_of(plan)) if shape)
     copied += turned + len(COUNTS) * has_lanes
     own = 3 + ("energy" in recorded and not plan.does_work)  # trajectory, step, t; work
     if plan.multipliers and system_of(plan).joints:
-        own += len(plan.rows)  # cut up joint by joint
+        own += len(plan.rows)  # arrays for each joint
     own += turned
-    ours = count * (1 + copied) + rows * (3 + own * count)  # of a time: temporaries
+    ours = count * (1 + copied) + rows * (3 + own * count)  # temporaries for one time
     return Output.size(plan, count, rows, with_state) + 8 * ours
 
 
 def history_row_bytes(model: Model, recorded: Iterable[str]) -> int:
     """Return the size of a row of `history_table`, bytes."""
-    numbers_in = 3 + sum(m.asked_by is None or m.asked_by in recorded for m in MEASURES)
+    numbers_in = 3 + sum(m.recorded_by is None or m.recorded_by in recorded for m in MEASURES)
     joints = model.joint_names
     numbers_in += len(model.observables) + len(JOINT_ERRORS) * len(joints)
     numbers_in += sum(prod(shape) for _, shape, _ in model.signals)
@@ -193,8 +193,8 @@ def history_table(
     }
     measures, observables = history_measures(plan), model.observables
     rows = each_row(output.history)
-    found = dict(zip(measures, rows[: len(measures)], strict=True))
-    columns |= {measure.name: c for measure, c in found.items() if measure.asked_by is None}
+    by_measure = dict(zip(measures, rows[: len(measures)], strict=True))
+    columns |= {measure.name: c for measure, c in by_measure.items() if measure.recorded_by is None}
     before = len(output.history) - signals_width(plan)
     errors = rows[len(measures) + len(observables) : before]
     for joint, own in zip(model.joint_names, _in_parts(errors, len(JOINT_ERRORS)), strict=True):
@@ -205,7 +205,9 @@ def history_table(
             for field, array in zip(POSE_AND_TWIST.fields, output.states, strict=True):
                 part = array[output.rows * link : output.rows * link + len(saved)]
                 columns[prefix + field.name] = vectors(part)
-    columns |= {measure.name: c for measure, c in found.items() if measure.asked_by in recorded}
+    columns |= {
+        measure.name: c for measure, c in by_measure.items() if measure.recorded_by in recorded
+    }
     if "energy" in recorded and not plan.does_work:
         columns["work"] = _no_work(columns["energy"])
     units = {}
@@ -226,35 +228,35 @@ def history_table(
     return _table(columns, metadata, covers_of(model), units)
 
 
-def _signals_of(model: Model, found: NDArray) -> Iterator[tuple[str, pa.Array, str]]:
+def _signals_of(model: Model, rows: NDArray) -> Iterator[tuple[str, pa.Array, str]]:
     """Yield name, column and unit of each extra state and controller output.
 
-    found : [number][row].
+    signals : [number][row].
     """
     first = 0
     for name, shape, unit in model.signals:
-        part = found[first : first + prod(shape)]
+        part = rows[first : first + prod(shape)]
         yield name, vectors(part.T) if shape else numbers(part[0]), unit
         first += len(part)
 
 
 def events_table(output: Output, metadata: str, model: Model) -> pa.Table:
     """Return a table with a row for each event, by trajectory and time."""
-    found = output.events
-    assert found is not None
+    rows = output.events
+    assert rows is not None
     names = texts([event.name for event in model.events])
-    which = numbers(found[:, 1].astype(np.int32))
+    which = numbers(rows[:, 1].astype(np.int32))
     columns = {
-        "trajectory": numbers(found[:, 0].astype(np.int64)),
+        "trajectory": numbers(rows[:, 0].astype(np.int64)),
         "event": pa.DictionaryArray.from_arrays(which, names),
-        "t": numbers(found[:, 2]),
+        "t": numbers(rows[:, 2]),
     }
     first, units = EVENT_COLUMNS, {}
     for prefix in _prefixes(model):
         for each in POSE_AND_TWIST.fields:
-            columns[prefix + each.name] = vectors(found[:, first : first + each.width])
+            columns[prefix + each.name] = vectors(rows[:, first : first + each.width])
             first += each.width
-    for name, column, unit in _signals_of(model, found[:, first:].T):
+    for name, column, unit in _signals_of(model, rows[:, first:].T):
         columns[name], units[name] = column, unit
     return _table(columns, metadata, covers_of(model), units)
 
@@ -268,12 +270,12 @@ def _prefixes(model: Model) -> list[str]:
     return [f"{name}." if name else "" for name in model.link_names]
 
 
-def _multipliers_of(model: Model, found: NDArray) -> Iterator[tuple[str, NDArray, str]]:
+def _multipliers_of(model: Model, multipliers: NDArray) -> Iterator[tuple[str, NDArray, str]]:
     """Yield name, λ and units of each joint that has rows."""
     first = 0
     for name, rows in model.rows_by_name:
         if rows:
-            part = np.ascontiguousarray(found[..., first : first + len(rows)])
+            part = np.ascontiguousarray(multipliers[..., first : first + len(rows)])
             column = f"{name}.lambda" if name else "lambda"
             yield column, part, ", ".join(row.unit for row in rows)
         first += len(rows)

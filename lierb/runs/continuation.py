@@ -76,12 +76,12 @@ class Continuation:
         if after.fields == before.fields and has_its_rows:
             return self.state
         own = len(state_columns(plan))
-        found = np.full((own + after.count, self.state.shape[1]), np.nan)
-        found[:own] = self.state[:own]
+        content = np.full((own + after.count, self.state.shape[1]), np.nan)
+        content[:own] = self.state[:own]
         for field, part in after:
             if field in before.fields and (has_its_rows or field.name != "dropped"):
-                found[own:][part] = self.state[own:][before[field.name]]
-        return found
+                content[own:][part] = self.state[own:][before[field.name]]
+        return content
 
     @property
     def own(self) -> list[str]:

@@ -63,10 +63,10 @@ class Run(Generic[Clocks]):
     @cached_property
     def arrays(self) -> dict[str, NDArray[Any]]:
         """Arrays of the job record."""
-        places = self.inputs.places(self.plan)
-        varying = np.flatnonzero(places[:, 1])[None]
-        inputs = np.zeros((self.threads, len(places), self.plan.lanes))
-        return {"places": places, "varying": varying, "inputs": inputs, **self.output.arrays}
+        addresses = self.inputs.addresses(self.plan)
+        varying = np.flatnonzero(addresses[:, 1])[None]
+        inputs = np.zeros((self.threads, len(addresses), self.plan.lanes))
+        return {"addresses": addresses, "varying": varying, "inputs": inputs, **self.output.arrays}
 
     def memory_of_thread(self) -> dict[str, NDArray[Any]]:
         """Table of a looped plan and memory for one thread; nothing for another plan."""

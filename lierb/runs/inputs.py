@@ -19,17 +19,18 @@ from lierb.support.arrays import Array
 
 ZEROS = np.zeros(1)  # memory that unused columns refer to
 
-Places = NDArray[np.int64]  # [column][address of the first trajectory's number, bytes to the next]
+# [column][address of the first trajectory's number, bytes to the next]
+Addresses = NDArray[np.int64]
 
 
 class _Layout(NamedTuple):
     """Addresses of a problem's numbers.
 
     differ : True if some numbers differ between trajectories.
-    arrays : the memory that `places` refers to.
+    arrays : the memory that `addresses` refers to.
     """
 
-    places: Places
+    addresses: Addresses
     differ: bool
     arrays: tuple[Array, ...]
 
@@ -37,17 +38,17 @@ class _Layout(NamedTuple):
 _layouts: WeakKeyDictionary[Model, _Layout] = WeakKeyDictionary()
 
 
-def _places_of(field: Field, array: Array) -> Places:
+def _addresses_of(field: Field, array: Array) -> Addresses:
     """Return the addresses of a field's numbers in an array.
 
     The array has one item per trajectory, or one item for all.
     """
     ahead = array.ndim - len(field.shape)
-    places = np.empty((field.width, 2), dtype=np.int64)
-    places[:, 0] = _offsets(field, array.strides[ahead:])
-    places[:, 0] += array.__array_interface__["data"][0]
-    places[:, 1] = 0 if _is_shared(field, array) else array.strides[0]
-    return places
+    addresses = np.empty((field.width, 2), dtype=np.int64)
+    addresses[:, 0] = _offsets(field, array.strides[ahead:])
+    addresses[:, 0] += array.__array_interface__["data"][0]
+    addresses[:, 1] = 0 if _is_shared(field, array) else array.strides[0]
+    return addresses
 
 
 def _is_shared(field: Field, array: Array) -> bool:
@@ -55,7 +56,7 @@ def _is_shared(field: Field, array: Array) -> bool:
     return array.ndim == len(field.shape) or len(array) == 1
 
 
-def _unused(count: int) -> Places:
+def _unused(count: int) -> Addresses:
     """Return the address of a zero for each of `count` unused columns."""
     return np.full((count, 2), (ZEROS.ctypes.data, 0), dtype=np.int64)
 
@@ -76,11 +77,11 @@ def _layout(model: Model, columns: Columns) -> _Layout:
     """
     if model not in _layouts:
         arrays = model.inputs
-        places = _unused(columns["state"].start)
+        addresses = _unused(columns["state"].start)
         for field, part in columns:
             if field.name in arrays:
-                places[part] = _places_of(field, arrays[field.name])
-        _layouts[model] = _Layout(places, bool(places[:, 1].any()), tuple(arrays.values()))
+                addresses[part] = _addresses_of(field, arrays[field.name])
+        _layouts[model] = _Layout(addresses, bool(addresses[:, 1].any()), tuple(arrays.values()))
     return _layouts[model]
 
 
@@ -114,21 +115,21 @@ class Inputs:
         )
         return TWISTS if are_one else POSES
 
-    def places(self, plan: AnyPlan) -> Places:
+    def addresses(self, plan: AnyPlan) -> Addresses:
         """Return the addresses of all columns.
 
         A continued run reads the state; any other run reads poses and twists.
         """
-        columns, places = self.columns, _layout(self.model, self.columns).places.copy()
+        columns, addresses = self.columns, _layout(self.model, self.columns).addresses.copy()
         if self.state is None:
             for name, array in self.starts.items():
-                places[columns[name]] = _places_of(columns.field(name), array)
-            return places
+                addresses[columns[name]] = _addresses_of(columns.field(name), array)
+            return addresses
         at = columns["state"].start
         of_state = _unused(columns.count - at)
         for row, column in zip(self.state, end_columns(plan), strict=True):
             of_state[column] = row.ctypes.data, row.strides[0] if len(row) > 1 else 0
-        return np.concatenate([places, of_state])
+        return np.concatenate([addresses, of_state])
 
     def numbers(self, trajectory: int) -> list[np.float64]:
         """Return the numbers of one trajectory in the order of the columns, except the state."""

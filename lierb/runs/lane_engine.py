@@ -92,12 +92,12 @@ class Events(NamedTuple):
     rows: list[Array]
     width: int
 
-    def add(self, found: Array) -> None:
+    def add(self, events: Array) -> None:
         """Add events. Raises MemoryLimitError if their table would not fit the memory.
 
         The number of events is not known before the run.
         """
-        self.rows.append(found.copy())
+        self.rows.append(events.copy())
         size = COPIES * sum(each.nbytes for each in self.rows)
         remedy = "take fewer trajectories at a time, a shorter run, or an event that is rarer"
         require_memory(size, "the table of the events so far", remedy)

@@ -105,17 +105,17 @@ class Options:
     def metadata(self, model: Model) -> dict[str, Any]:
         """Return the options for the metadata; all values are hashable."""
         timing = self.timing
-        found = {
+        options = {
             "dt": timing.dt or None, "t_end": timing.t_end, "t0": timing.t0,
             "method": timing.tableau.name, "cspace": self.cspace, "update": self.update,
             "save_every": timing.save_every or None, "measure_every": timing.measure_every,
             "record": self.record, "check": self.check, "solver": self.formulation.solver,
         }  # fmt: skip
         if model.controllers:
-            found["seed"] = self.seed
+            options["seed"] = self.seed
         if self.formulation.stabilisation is not None:
-            found["stabilise"] = described_stabilisation(self.formulation.stabilisation)
-        return found
+            options["stabilise"] = described_stabilisation(self.formulation.stabilisation)
+        return options
 
 
 def check_names(**given: str) -> None:

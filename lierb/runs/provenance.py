@@ -115,14 +115,14 @@ def _described_plan(plan: AnyPlan) -> str:
 
 def _described_tableau(plan: AnyPlan) -> dict[str, Any]:
     """Return the numbers of the `ButcherTableau` that the run uses."""
-    found: dict[str, Any] = {"A": plan.stages, "b": plan.weights}
+    tableau: dict[str, Any] = {"A": plan.stages, "b": plan.weights}
     if plan.exponentials:
-        found["exponentials"] = plan.exponentials
+        tableau["exponentials"] = plan.exponentials
     if plan.embedded is not None:
-        found |= {"error": plan.embedded.weights, "error_order": plan.embedded.order}
+        tableau |= {"error": plan.embedded.weights, "error_order": plan.embedded.order}
     if plan.extension is not None:
-        found |= {"dense": plan.extension.weights, "dense_A": plan.extension.stages}
-    return found
+        tableau |= {"dense": plan.extension.weights, "dense_A": plan.extension.stages}
+    return tableau
 
 
 # JSON of each model, cached: its arrays cannot change, and digests of large arrays are slow.

@@ -33,7 +33,7 @@ from lierb.model.mechanism.row_system import System
 from lierb.model.problem import Problem
 from lierb.runs.starts import Ready
 from lierb.runs.timing import Timing
-from lierb.support.arrays import Array, assembled, components, pose_components, taken
+from lierb.support.arrays import Array, assembled, components, items_at, pose_components
 from lierb.support.collected_warnings import are_warnings_collected
 
 Indices = NDArray[np.int64]
@@ -112,8 +112,8 @@ def amplification(tableau: ButcherTableau, z: Complex) -> Complex:
     stages: list[Any] = []
     for row in (*tableau.A, tableau.b):
         stages.append(1.0 + z * sum(a * k for a, k in zip(row, stages, strict=True)))
-    found: Complex = stages[-1]
-    return found
+    value: Complex = stages[-1]
+    return value
 
 
 class _Modes(NamedTuple):
@@ -130,8 +130,8 @@ class _Modes(NamedTuple):
     def growth(self, tableau: ButcherTableau, steps: float, share: float = 1.0) -> Array:
         """Log growth of each mode in `steps` steps of `share` times the step length."""
         factors = np.abs(amplification(tableau, share * self.exponents))
-        found: Array = steps * (np.log(factors) - ROUNDING)
-        return found
+        logarithms: Array = steps * (np.log(factors) - ROUNDING)
+        return logarithms
 
 
 class _OwnForces:
@@ -171,8 +171,8 @@ class _OwnForces:
         members, those = self._members(count), self
         if len(members) < count:
             those = _OwnForces(self.mechanism.part(members), self.is_one_body, self.is_alike)
-            pose0 = {name: taken(array, members, 2) for name, array in pose0.items()}
-            twist0 = {name: taken(array, members, 1) for name, array in twist0.items()}
+            pose0 = {name: items_at(array, members, 2) for name, array in pose0.items()}
+            twist0 = {name: items_at(array, members, 1) for name, array in twist0.items()}
         modes = list(those._modes(pose0, twist0, len(members), timing.dt))
         growths = [each.growth(timing.tableau, timing.steps) for each in modes]
         most = [growth.max(initial=0.0) for growth in growths]
@@ -195,11 +195,11 @@ class _OwnForces:
     @cached_property
     def _places(self) -> list[tuple[Connection, Parameters, BodyConstants]]:
         """Connection, parameters and body constants of each force."""
-        mechanism, found = self.mechanism, []
+        mechanism, placed = self.mechanism, []
         for i in range(len(mechanism.forces)):
             at = mechanism.places[i]._replace(elements=(i,))
-            found.append((at, mechanism.parameters(at), mechanism.constants(at)))
-        return found
+            placed.append((at, mechanism.parameters(at), mechanism.constants(at)))
+        return placed
 
     @cached_property
     def _system(self) -> System:
@@ -261,7 +261,7 @@ class _OwnForces:
     @cached_property
     def _stiffest(self) -> Indices:
         """Members with the largest ratio of a force's stiffness or damping to mass or inertia."""
-        mechanism, found = self.mechanism, []
+        mechanism, members = self.mechanism, []
         for force, at in zip(mechanism.forces, mechanism.places, strict=False):
             bodies = [mechanism.links[i].body for i in (at.body, at.parent) if i >= 0]
             sizes = [body.mass for body in bodies]
@@ -274,8 +274,8 @@ class _OwnForces:
             for tangent in force.kind.tangents(placed, APART):
                 for gain in (tangent.stiffness, tangent.damping):
                     of_all = [plain(gain) / size for size in sizes]
-                    found += [int(np.argmax(each)) for each in of_all if np.size(each) > 1]
-        return np.unique(np.array(found, dtype=np.int64))
+                    members += [int(np.argmax(each)) for each in of_all if np.size(each) > 1]
+        return np.unique(np.array(members, dtype=np.int64))
 
 
 # Motion far from the anchor, where a spring has its stiffness across the line and its damping
@@ -323,6 +323,6 @@ def _stable_length(modes: list[_Modes], timing: Timing) -> float:
     for _ in range(DIGITS):
         middle = 0.5 * (share + above)
         share, above = (middle, above) if is_stable(middle) else (share, middle)
-    found = share * timing.dt
-    digit = 10.0 ** (math.floor(math.log10(found)) - 1)
-    return math.floor(found / digit) * digit
+    longest = share * timing.dt
+    digit = 10.0 ** (math.floor(math.log10(longest)) - 1)
+    return math.floor(longest / digit) * digit

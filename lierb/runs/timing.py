@@ -73,17 +73,18 @@ class Timing:
         }
         if not self.is_of_lanes:
             return fields
-        looks = has_events or self.saves
+        interpolates = has_events or self.saves
         embedded = None
         if self.is_adaptive:
             assert tableau.error is not None
             assert tableau.error_order is not None
             embedded = Embedded(_rows(tableau.error), tableau.error_order)
         extension = None
-        if looks and tableau.dense is not None:
+        if interpolates and tableau.dense is not None:
             extension = Extension(_rows(tableau.dense_A), _rows(tableau.dense))
         return fields | {
-            "clock": "lanes", "embedded": embedded, "extension": extension, "looks": looks,
+            "clock": "lanes", "embedded": embedded, "extension": extension,
+            "interpolates": interpolates,
             "jumps": has_jumps or self.discontinuities is not None,
         }  # fmt: skip
 
@@ -132,21 +133,21 @@ class Timing:
     def metadata(self) -> dict[str, Any]:
         """Return the options of the lanes' clocks, as keywords of `lierb.integrate`."""
 
-        found: dict[str, Any] = {}
+        options: dict[str, Any] = {}
         if not self.is_of_lanes:
-            return found
+            return options
         if self.is_adaptive:
-            found["rtol"] = self.rtol
+            options["rtol"] = self.rtol
             pairs = zip(BLOCKS, self.atol, strict=True)
-            found["atol"] = {name: number for name, number in pairs if number is not None}
-            found["dt_min"] = self.dt_min
-            found["dt_max"] = None if self.dt_max == math.inf else self.dt_max
-        found["max_steps"] = None if self.max_steps == math.inf else int(self.max_steps)
+            options["atol"] = {name: number for name, number in pairs if number is not None}
+            options["dt_min"] = self.dt_min
+            options["dt_max"] = None if self.dt_max == math.inf else self.dt_max
+        options["max_steps"] = None if self.max_steps == math.inf else int(self.max_steps)
         if self.save_at is not None:
-            found["save_at"] = self.save_at
+            options["save_at"] = self.save_at
         if self.discontinuities is not None:
-            found["discontinuities"] = self.discontinuities
-        return found
+            options["discontinuities"] = self.discontinuities
+        return options
 
 
 def _rows(weights: Sequence[Sequence[float]]) -> tuple[tuple[float, ...], ...]:

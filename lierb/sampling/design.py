@@ -132,12 +132,12 @@ class Design:
 
     @property
     def _points(self) -> int:
-        """Number of points of the Sobol sequence."""
+        """Return the number of points of the Sobol sequence."""
         return self.n // (len(self.drawn) + 2) if self.method == "saltelli" else self.n
 
     @property
     def _coordinates(self) -> int:
-        """Number of coordinates of each point."""
+        """Return the number of coordinates of each point."""
         return self.dimension * (2 if self.method == "saltelli" else 1)
 
     def draw(self, first: int = 0, count: int | None = None) -> dict[str, Array]:

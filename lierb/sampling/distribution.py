@@ -13,7 +13,7 @@ from lierb.errors import ArgumentError
 from lierb.support.arrays import Array, as_floats, as_matrix
 from lierb.support.extras import require
 
-LARGEST = 1e300  # of parameters: sums of a few, and 39 std of a normal variable, are finite
+LARGEST = 1e300  # largest parameter: sums of a few, and 39 std, are finite
 SHAPES = {
     1: "a number or (d,)",
     2: "a number, (d,) or a matrix",
@@ -74,7 +74,7 @@ class Distribution:
         raise NotImplementedError
 
     def _column(self, parameter: Array) -> Array:
-        """Parameter as a column, one row a component."""
+        """Return a parameter as a column, one row a component."""
         return np.broadcast_to(parameter, self.shape).reshape(-1, 1)
 
     def _set(self, **values: object) -> None:
@@ -117,7 +117,7 @@ def refuse(field: str, array: Array, bad: NDArray[np.bool_], expected: str) -> N
 
 
 def common_shape(**parameters: Array) -> tuple[int, ...]:
-    """Shape () or (d,) of parameters: numbers, and vectors of one length."""
+    """Return the shape () or (d,) of parameters: numbers, and vectors of one length."""
     sizes = {name: array.shape for name, array in parameters.items() if array.ndim}
     if len(set(sizes.values())) > 1:
         listed = ", ".join(f"{name} has {shape[0]}" for name, shape in sizes.items())

@@ -129,7 +129,7 @@ class Direction(Distribution):
         return 2 + self.length.dimension
 
     def _draw(self, u: Array) -> Array:
-        across = 2.0 * np.sqrt(u[0] * (1.0 - u[0]))  # √(1 − z²)
+        across = 2.0 * np.sqrt(u[0] * (1.0 - u[0]))  # radius √(1 − z²)
         azimuth = 2.0 * np.pi * u[1]
         unit = np.stack((across * np.cos(azimuth), across * np.sin(azimuth), 1.0 - 2.0 * u[0]))
         return unit * self.length._draw(u[2:])
@@ -216,7 +216,7 @@ class Values(Distribution):
         return self.take((u[0] * len(self)).astype(np.int64)).reshape(u.shape[1], -1).T
 
     def take(self, levels: NDArray[np.int64]) -> Array:
-        """Values at these indices, (n, *shape)."""
+        """Return the values at these indices, (n, *shape)."""
         return self.values[levels]
 
 
@@ -232,7 +232,7 @@ DISTRIBUTIONS = {  # by their names in studies
 
 
 def as_distribution(label: str, value: Distribution | ArrayLike) -> Distribution:
-    """Distribution itself; of numbers, the constant."""
+    """Return a distribution itself; convert numbers to a constant."""
     if isinstance(value, Distribution):
         return value
     return Constant(numbers_of(label, value, axes=2))

@@ -21,7 +21,7 @@ from lierb.sampling.distribution import (
 from lierb.sampling.truncated import quantiles_of_truncated_normal
 from lierb.support.arrays import Array
 
-FARTHEST_Z = 8.3  # std, of the largest uniform
+FARTHEST_Z = 8.3  # std from the mean to the largest draw
 SEMIDEFINITE = 1e-14  # pivot, relative to the variance, below which it is zero
 SYMMETRY_TOLERANCE = 1e-12  # relative to the largest entry
 
@@ -101,7 +101,7 @@ def _covariance(value: ArrayLike) -> Array:
     skew = np.abs(matrix - matrix.T).max()
     if skew > SYMMETRY_TOLERANCE * np.abs(matrix).max():
         raise ArgumentError(f"covariance is not symmetric: entries differ by {skew:.3g}")
-    with np.errstate(all="ignore"):  # of no covariance, numbers overflow
+    with np.errstate(all="ignore"):  # an invalid covariance may overflow
         lower = _cholesky(matrix)
         size = np.sqrt(np.abs(np.diag(matrix)))
         left = np.abs(lower @ lower.T - matrix)
@@ -115,7 +115,7 @@ def _covariance(value: ArrayLike) -> Array:
 
 
 def _cholesky(matrix: Array) -> Array:
-    """Cholesky factor, lower triangular, with a column of zeros for each zero pivot."""
+    """Return the Cholesky factor, lower triangular, with a column of zeros for each zero pivot."""
     lower = np.zeros_like(matrix)
     for j in range(len(matrix)):
         rest = matrix[j:, j] - sum(lower[j:, k] * lower[j, k] for k in range(j))
@@ -222,5 +222,5 @@ class LogNormal(Distribution):
         median, exponent = self._column(self.median), self._column(self.sigma) * z
         with np.errstate(over="ignore"):
             whole, half = median * np.exp(exponent), np.exp(0.5 * exponent)
-        # beyond a double's range, beside a small median: in two factors
+        # in two factors, since one may exceed a double's range
         return np.where(exponent < 700.0, whole, median * half * half)

@@ -13,7 +13,7 @@ from lierb.sampling.streams import UNIFORM_BITS, uniforms_of, words
 from lierb.support.arrays import Array
 from lierb.support.extras import require
 
-SOBOL_BITS = 32  # the most that SciPy's Sobol.fast_forward takes; the other digits are random
+SOBOL_BITS = 32  # limit of SciPy's Sobol.fast_forward; the other digits are random
 WALKED_BITS = 12  # bits of a point's number up to which SciPy's points are compared with its table
 
 
@@ -49,7 +49,7 @@ class Sobol:
 
     @cached_property
     def _directions(self) -> tuple[NDArray[np.uint64], NDArray[np.uint64]]:
-        """First point, (d,), and directions, (bits of size − 1, d).
+        """Return the first point, (d,), and the directions, (bits of size − 1, d).
 
         In the Gray code of 2ᵏ bits k and k − 1 are set, so point 2ᵏ is point 0 with directions k
         and k − 1 added. SciPy walks there from point to point, at 2 to 7 ns each: half a minute to
@@ -77,6 +77,6 @@ class Sobol:
 
 
 def _directions_between(points: list[Array]) -> tuple[NDArray[np.uint64], NDArray[np.uint64]]:
-    """Point 0, and the directions that lead to points 1, 2, 4, 8, …"""
+    """Return point 0, and the directions that lead to points 1, 2, 4, 8, …"""
     numbers = (np.concatenate(points) * 2.0**SOBOL_BITS).astype(np.uint64)
     return numbers[0], np.bitwise_xor.accumulate(numbers[1:] ^ numbers[0], axis=0)

@@ -27,5 +27,5 @@ def words(seed: int, name: str, first: int, count: int, each: int) -> NDArray[np
 
 
 def uniforms_of(numbers: NDArray[np.integer]) -> Array:
-    """Uniforms (k + ½)/2⁵² of whole numbers k < 2⁵²: exact, symmetric, never 0 or 1."""
+    """Return uniforms (k + ½)/2⁵² of whole numbers k < 2⁵²: exact, symmetric, never 0 or 1."""
     return (numbers.astype(np.float64) + 0.5) * 2.0**-UNIFORM_BITS

@@ -1,4 +1,4 @@
-"""Quantiles of the truncated normal distribution, accurate to rounding for any bounds."""
+"""Compute quantiles of the truncated normal distribution, accurate to rounding for any bounds."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ NEWTON_STEPS = 8  # 5 suffice: the number of correct digits doubles in each
 def quantiles_of_truncated_normal(
     mean: float, std: float, low: float, high: float, u: Array
 ) -> Array:
-    """Quantiles of one component at uniforms u."""
-    if mean >= high:  # mirrored: a mean outside of the bounds is then below them
+    """Return the quantiles of one component at uniforms u."""
+    if mean >= high:  # mirrored, so that a mean outside of the bounds is below them
         return -_between(-mean, std, -high, -low, 1.0 - u, u)
     return _between(mean, std, low, high, u, 1.0 - u)
 
 
 def _between(mean: float, std: float, low: float, high: float, p: Array, q: Array) -> Array:
-    """Quantiles for a mean below `high`; p + q = 1."""
+    """Return the quantiles for a mean below `high`; p + q = 1."""
     with np.errstate(over="ignore"):
         a, b, w = (np.float64(x) / std for x in (low - mean, high - mean, high - low))
         if w * (max(a, 0.0) + 0.5 * w) <= LONGEST:
@@ -42,7 +42,7 @@ def _nearly_uniform(alpha: float, beta: float, p: Array) -> Array:
     nodes = 0.5 * (NODES + 1.0)
 
     def mass(t: Array) -> Array:
-        """Integral of the density from 0 to t, by Gauss and Legendre's quadrature."""
+        """Integrate the density from 0 to t, by Gauss and Legendre's quadrature."""
         total = np.zeros_like(t)
         for node, weight in zip(nodes, WEIGHTS, strict=True):
             total += 0.5 * weight * np.exp(-t * node * (alpha + 0.5 * beta * t * node))
@@ -56,7 +56,7 @@ def _nearly_uniform(alpha: float, beta: float, p: Array) -> Array:
 
 
 def _tail(a: float, w: float, p: Array, q: Array) -> Array:
-    """Quantiles of z − a for a standard normal z between a ≥ 0 and a + w; p + q = 1.
+    """Return the quantiles of z − a for a standard normal z between a ≥ 0 and a + w; p + q = 1.
 
     Solves −log(Q(a + s)/Q(a)) = s (a + s/2) − log(M(a + s)/M(a)) with Mills' ratio M = Q/φ.
     """
@@ -80,7 +80,7 @@ def _tail(a: float, w: float, p: Array, q: Array) -> Array:
 
 
 def _cut(a: float, b: float, p: Array) -> Array:
-    """Quantiles of a standard normal between a < 0 and b > 0.
+    """Return the quantiles of a standard normal between a < 0 and b > 0.
 
     Solves Φ(z) = (1 − p) Φ(a) + p Φ(b) for log Φ(z) or log Φ(−z), whichever is smaller.
     """

@@ -30,7 +30,7 @@ from lierb.studies.description.settings import settings_label
 from lierb.studies.description.study_tables import tables_of_study
 from lierb.studies.storage.results import Results
 from lierb.support.extras import require
-from lierb.support.shown import FAILED, Lines
+from lierb.support.representations import FAILED, Lines
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -92,14 +92,14 @@ class Dataset(Results):
         self._read_once()
         return figure(self, name)
 
-    def _shown(self) -> tuple[str, Lines]:
+    def _representation(self) -> tuple[str, Lines]:
         if not self.manifest:
             return f"lierb.Dataset of {self.folder}, not read", []
-        study, done, asked = self.manifest["study"], len(self.parts), self.manifest["asked"]
+        study, done, total = self.manifest["study"], len(self.parts), self.manifest["asked"]
         lines = [
             ("settings", settings_label(IntegrateSection.model_construct(**study["integrate"]))),
             ("trajectories", str(self.trajectories)),
-            ("parts", f"{done} of {asked}{self.rest('resume=True does the rest')}"),
+            ("parts", f"{done} of {total}{self.rest('resume=True does the rest')}"),
         ]
         if failed := sum(sum(entry.get("failed", {}).values()) for _, entry in self._summaries()):
             lines.append((FAILED, f"{failed} of {self.trajectories}; failures() says more"))

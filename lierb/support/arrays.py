@@ -1,4 +1,4 @@
-"""Checks of users' numbers, and conversion between arrays and tuples of components.
+"""Check users' numbers, and convert between arrays and tuples of components.
 
 Formulas take one array for each component, of any batch shape. Componentwise arithmetic gives a
 body the same bits alone and in any batch; `matmul` may not.
@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 Pose = tuple[Mat, Vec]
 
 SLICE = 16384  # bodies checked at a time; this bounds the memory of checks
-MOST_AXES = 16  # of an argument; NumPy's limit is 64
+MOST_AXES = 16  # most axes of an argument; NumPy's limit is 64
 PLAIN = {float, int, np.float64, np.float32, np.int64}  # numbers without further checks
 NO_NUMBERS = (bool, str, bytes, bytearray)
 FEWER = "give fewer bodies at a time"
@@ -228,7 +228,7 @@ def _shape(sizes: tuple[Any, ...]) -> str:
 
 
 def batch_size(**arguments: Array | tuple[Array, int]) -> int | None:
-    """Common length of the batch axes, or None. A tuple is (array, number of item axes)."""
+    """Return the common length of the batch axes, or None.   A tuple is (array, item axes)."""
     lengths: dict[str, int] = {}
     for name, entry in arguments.items():
         array, item_axes = entry if isinstance(entry, tuple) else (entry, 0)
@@ -244,8 +244,8 @@ def batch_size(**arguments: Array | tuple[Array, int]) -> int | None:
 Which = int | slice | NDArray[np.int64]  # one body of a batch, or some of them
 
 
-def taken(array: Array, which: Which, item_axes: int = 0) -> Array:
-    """Items of one or several bodies of a batch; a shared item as is."""
+def items_at(array: Array, which: Which, item_axes: int = 0) -> Array:
+    """Return the items of one or several bodies of a batch; a shared item as is."""
     if array.ndim == item_axes:
         return array
     if len(array) > 1:
@@ -262,13 +262,13 @@ def member_of(body: Any, size: int | None) -> int:
 
 
 def components(array: Array, axes: int = 1) -> Vec:
-    """Entries of the last `axes` axes, row by row."""
+    """Return the entries of the last `axes` axes, row by row."""
     flat = array.reshape(*array.shape[: array.ndim - axes], -1)
     return tuple(flat[..., i] for i in range(flat.shape[-1]))
 
 
 def assembled(parts: Vec, *shape: int) -> Array:
-    """Array from components, along a last axis or axes of `shape`; inverse of `components`."""
+    """Stack components along a last axis, or axes of `shape`; the inverse of `components`."""
     columns = np.broadcast_arrays(*(np.asarray(p, dtype=np.float64) for p in map(_number, parts)))
     stacked = np.stack(columns, axis=-1)
     return stacked.reshape(*stacked.shape[:-1], *shape) if shape else stacked
@@ -283,7 +283,7 @@ def pose_components(pose: Array) -> Pose:
 
 
 def pose_matrix(pose: Pose) -> Array:
-    """Homogeneous matrices (…, 4, 4) of poses."""
+    """Return the homogeneous matrices (…, 4, 4) of poses."""
     r, p = assembled(pose[0], 3, 3), assembled(pose[1])
     batch = np.broadcast_shapes(r.shape[:-2], p.shape[:-1])
     matrix = np.zeros((*batch, 4, 4))
@@ -299,11 +299,11 @@ def as_poses(argument: str, value: Any, copy: bool | None = True) -> Array:
     if matrices.shape[-2:] == (3, 3):
         if not hasattr(value, "as_matrix"):
             raise ArgumentError(
-                f"{argument} has shape {matrices.shape}, rotations R without a place r: expected "
+                f"{argument} has shape {matrices.shape}, rotations without a position: expected "
                 "(4, 4) or (n, 4, 4), as C = np.eye(4); C[:3, :3] = R; C[:3, 3] = r; "
                 "joint.pose(rotation=R) is the pose of a body turned about its joint's point"
             )
-        matrices = pose_matrix((components(matrices, 2), (0.0, 0.0, 0.0)))  # about the origin
+        matrices = pose_matrix((components(matrices, 2), (0.0, 0.0, 0.0)))  # without a translation
     poses = as_numbers(argument, matrices, (4, 4), copy=copy)
     check_rotations(argument, poses[..., :3, :3])
     first = 0

@@ -1,4 +1,4 @@
-"""Optional parts of lierb: their packages, and the commands that install them."""
+"""Require the optional parts of lierb, and name the commands that install them."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def require(extra: str) -> None:
 
 
 def remedy(extra: str) -> str:
-    """Command that adds an optional part to the installed lierb.
+    """Return the command that adds an optional part to the installed lierb.
 
     The command names a checkout by its path, a wheel or a repository by its URL, as lierb may not
     be in an index. If that origin no longer exists, the command installs the packages themselves.
@@ -74,7 +74,7 @@ def remedy(extra: str) -> str:
 
 
 def _requirement(extra: str, url: str, origin: dict[str, Any]) -> str:
-    """Requirement for lierb with an extra, from its origin, quoted for a shell."""
+    """Return the requirement for lierb with an extra, from its origin, quoted for a shell."""
     if "dir_info" in origin:
         folder = _path(url)
         here = "." if folder == Path.cwd() else str(folder)
@@ -89,7 +89,7 @@ def _requirement(extra: str, url: str, origin: dict[str, Any]) -> str:
 
 
 def _path(url: str) -> Path:
-    """Path of a file:// URL."""
+    """Return the path of a file:// URL."""
     from urllib.parse import urlsplit
     from urllib.request import url2pathname  # imported here: it takes 30 ms
 

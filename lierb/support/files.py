@@ -1,4 +1,4 @@
-"""Atomic writing of files, and errors of the file system with remedies."""
+"""Write files atomically, and report errors of the file system with remedies."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ READABLE = f"make it readable, or delete it, and {RESUME} it again"
 
 
 def folder_of(given: str | os.PathLike[str]) -> Path:
-    """Path of a folder for results, with `~` expanded.
+    """Return the path of a folder for results, with `~` expanded.
 
     Raises StudyError for a URL, and for a name that Arrow cannot open.
     """
@@ -140,7 +140,7 @@ def reason(error: Exception) -> str:
 
 
 def as_it_is(path: Path) -> tuple[int, ...]:
-    """Inode, size and time of a file, to detect changes; () without the file."""
+    """Return inode, size and time of a file, to detect changes; () without the file."""
     with naming(path, "read", READABLE), suppress(FileNotFoundError):
         if path.is_file():
             status = path.stat()
@@ -149,7 +149,7 @@ def as_it_is(path: Path) -> tuple[int, ...]:
 
 
 def sha256_of(path: Path) -> str:
-    """Digest of a file's content; "" without the file."""
+    """Return the digest of a file's content; "" without the file."""
     with naming(path, "read", READABLE):
         if not path.is_file():  # a pipe would block
             return ""

@@ -1,4 +1,4 @@
-"""Checks in forked processes, which lack the threads of their parents."""
+"""Check for forked processes, which lack the threads of their parents."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def check_compiler(is_needed: bool) -> None:
     """Raise ForkError if compilation is needed but impossible."""
     if _lacks_compiler and is_needed:
         raise ForkError(
-            "this process was forked while a thread of its parent was compiling, which it lacks; "
+            "this process lacks a thread of its parent that was compiling when it was forked; "
             f"{REMEDY}"
         )
 

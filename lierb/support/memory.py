@@ -1,4 +1,4 @@
-"""Memory for results: its allocation, and the size of the free memory.
+"""Allocate memory for results, and measure the free memory.
 
 Linux grants more memory than it has, and kills the process that uses it. Hence a run that does not
 fit must be refused before it starts.

@@ -61,7 +61,7 @@ def reporter(
 
 
 def _bar(total: int, of: str, required: bool) -> Bar | None:
-    """Bar for a notebook or a terminal, None elsewhere."""
+    """Return a bar for a notebook or a terminal, None elsewhere."""
     if _in_notebook():
         return NotebookBar(total, of)
     if not (required or _on_terminal()):
@@ -75,7 +75,7 @@ def _bar(total: int, of: str, required: bool) -> Bar | None:
 
 
 def _on_terminal() -> bool:
-    return sys.stderr is not None and sys.stderr.isatty()  # None in a process without a console
+    return sys.stderr is not None and sys.stderr.isatty()  # no console
 
 
 def _in_notebook() -> bool:

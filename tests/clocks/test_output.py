@@ -33,13 +33,13 @@ def test_save_at_meets_the_truth_as_the_end_does(form):
     method, cspace = form.split("-")
     problem, twist0 = problem_of(name)
     times = [float(t) for t in DATA[name].times]
-    found = lierb.integrate(
+    rows = lierb.integrate(
         problem, twist0=twist0, t_end=times[-1], rtol=rtol, method=method, cspace=cspace,
         save_at=times, record=("state",),
     ).history  # fmt: skip
-    assert found["t"].to_pylist() == times
+    assert rows["t"].to_pylist() == times
     for row, t in enumerate(DATA[name].times):
-        assert distance(states_of(found, row), reference(name)[t]) < 30 * rtol, t
+        assert distance(states_of(rows, row), reference(name)[t]) < 30 * rtol, t
 
 
 def test_save_at_ends_are_the_start_and_the_end():
@@ -75,11 +75,11 @@ def test_many_rows_within_a_step():
 def test_rows_follow_the_times_then_the_trajectories():
     problem, twist0 = problem_of("heavy_top")
     twists = np.array([twist0, 0.5 * twist0, 2.0 * twist0])
-    found = lierb.integrate(
+    rows = lierb.integrate(
         problem, twist0=twists, t_end=0.5, rtol=1e-6, save_at=(0.1, 0.2), record=("state",)
     ).history
-    assert found["t"].to_pylist() == [0.1] * 3 + [0.2] * 3
-    assert found["trajectory"].to_pylist() == [0, 1, 2] * 2
+    assert rows["t"].to_pylist() == [0.1] * 3 + [0.2] * 3
+    assert rows["trajectory"].to_pylist() == [0, 1, 2] * 2
 
 
 def test_no_time_asked_for_is_an_empty_history():
@@ -108,8 +108,8 @@ TIMES = np.linspace(0.0, 0.5, 38)
 @pytest.mark.parametrize("method", tiered(METHODS, [], ["DP54"]))
 def test_pose_between_steps_is_on_the_group(method):
     """RᵀR = 1 to rounding, however loose the tolerance."""
-    found = heavy_top(rtol=1e-3, save_at=TIMES, t_end=0.5, method=method, cspace="SO3xR3").history
-    R = rows_of(found, "rotation").reshape(-1, 3, 3)
+    rows = heavy_top(rtol=1e-3, save_at=TIMES, t_end=0.5, method=method, cspace="SO3xR3").history
+    R = rows_of(rows, "rotation").reshape(-1, 3, 3)
     np.testing.assert_allclose(R @ R.transpose(0, 2, 1), np.broadcast_to(np.eye(3), R.shape),
                                atol=2e-14)  # fmt: skip
 
@@ -165,11 +165,11 @@ def test_output_between_steps_has_the_methods_order_less_one(method, cspace):
     longest = {1: 2e-3, 2: 5e-3, 3: 1e-2, 4: 1e-2, 5: 2.5e-2}.get(p, 5e-2)
     off = []
     for dt in (longest, longest / 2, longest / 4):
-        found = lierb.integrate(
+        rows = lierb.integrate(
             problem, twist0=twist0, dt=dt, t_end=0.5, method=method, save_at=times,
             record=("state",), cspace=cspace,
         ).history  # fmt: skip
-        off.append(np.abs(rows_of(found, "omega") - grid[at]).max())
+        off.append(np.abs(rows_of(rows, "omega") - grid[at]).max())
     kept = [e for e in off if e > 1e-12]
     assert len(kept) >= 2, off
     order = np.log2(kept[0] / kept[-1]) / (len(kept) - 1)

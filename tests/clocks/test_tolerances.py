@@ -36,7 +36,7 @@ FORMS = [
 def errors(name: str, cspace: str, method: str, **options) -> dict[float, float]:
     """rtol → error at the end, over rtol."""
     problem, twist0 = problem_of(name)
-    true, found = reference(name)[END[name]], {}
+    true, ratios = reference(name)[END[name]], {}
     for rtol in RTOLS:
         if rtol < LEAST.get(method, 0.0):
             break
@@ -45,8 +45,8 @@ def errors(name: str, cspace: str, method: str, **options) -> dict[float, float]
             cspace=cspace, **options,
         )  # fmt: skip
         assert result.summary["status"].to_pylist() == ["ok"]
-        found[rtol] = distance(states_of(result.summary, 0), true) / rtol
-    return found
+        ratios[rtol] = distance(states_of(result.summary, 0), true) / rtol
+    return ratios
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -108,8 +108,8 @@ def test_a_mechanism_keeps_the_tolerance():
     true = [states_of(fixed.summary, 0, "lower")]
     for cspace in ("reduced", "SE3", "SO3xR3"):
         for rtol in (1e-4, 1e-7, 1e-10):
-            found = lierb.integrate(pendulum, **start, t_end=1.0, rtol=rtol, cspace=cspace)
-            off = distance(states_of(found.summary, 0, "lower"), true[0])
+            result = lierb.integrate(pendulum, **start, t_end=1.0, rtol=rtol, cspace=cspace)
+            off = distance(states_of(result.summary, 0, "lower"), true[0])
             assert off < FACTOR * rtol, (cspace, rtol)
 
 
@@ -120,10 +120,10 @@ def test_a_mechanism_keeps_the_tolerance():
 def test_atol_alone_is_what_counts_where_nothing_moves():
     """A body at rest under no force: one step, whatever its length."""
     problem = lierb.Problem(lierb.Body(1.0, (1.0, 1.0, 1.0)), lierb.joints.free())
-    found = lierb.integrate(problem, twist0=np.zeros(6), t_end=1e3, atol=1e-9)
-    assert found.summary["status"].to_pylist() == ["ok"]
-    assert found.summary["steps"].to_pylist()[0] < 30
-    assert found.summary["rejected"].to_pylist() == [0]
+    result = lierb.integrate(problem, twist0=np.zeros(6), t_end=1e3, atol=1e-9)
+    assert result.summary["status"].to_pylist() == ["ok"]
+    assert result.summary["steps"].to_pylist()[0] < 30
+    assert result.summary["rejected"].to_pylist() == [0]
 
 
 @lierb.wrench
@@ -135,7 +135,7 @@ def trap(t, R, r, omega, v, body):
 @pytest.mark.parametrize("cspace", ["SO3xR3", pytest.param("SE3", marks=pytest.mark.long)])
 def test_nothing_is_small_in_itself(cspace):
     """A ball as large as it swings, in kilometres and in picometres: the same steps, and errors."""
-    found = []
+    pairs = []
     for size in (1.0, 1e3, 1e-6, 1e-12):
         body = lierb.bodies.sphere(size, mass=1.0)
         problem = lierb.Problem(body, lierb.joints.free(), forces=trap())
@@ -145,11 +145,11 @@ def test_nothing_is_small_in_itself(cspace):
             problem, pose0=pose0, twist0=np.zeros(6), rtol=1e-6, t_end=20.0, cspace=cspace
         )
         off = result.position[0, 0] / size - np.cos(20.0)
-        found.append((result.summary["steps"][0].as_py(), off))
-    assert 0.0 < abs(found[0][1]) < FACTOR * 1e-6
-    for steps, off in found:
-        assert steps == found[0][0]
-        assert off == pytest.approx(found[0][1], rel=0.0, abs=1e-12)  # rounding of 30 steps
+        pairs.append((result.summary["steps"][0].as_py(), off))
+    assert 0.0 < abs(pairs[0][1]) < FACTOR * 1e-6
+    for steps, off in pairs:
+        assert steps == pairs[0][0]
+        assert off == pytest.approx(pairs[0][1], rel=0.0, abs=1e-12)  # rounding of 30 steps
 
 
 @lierb.wrench
@@ -191,8 +191,8 @@ def test_default_atol_is_what_metadata_leave_out():
 
 def steps_with(atol, rtol=1e-9) -> int:
     problem, twist0 = problem_of("free_body")
-    found = lierb.integrate(problem, twist0=twist0, t_end=5.0, rtol=rtol, atol=atol, method="DP54")
-    return found.summary["steps"].to_pylist()[0]
+    result = lierb.integrate(problem, twist0=twist0, t_end=5.0, rtol=rtol, atol=atol, method="DP54")
+    return result.summary["steps"].to_pylist()[0]
 
 
 @pytest.mark.slow

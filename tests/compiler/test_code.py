@@ -7,7 +7,7 @@ import threading
 
 import pytest
 
-from lierb.compiler.code import undisturbed
+from lierb.compiler.code import run_uninterrupted
 
 
 @pytest.fixture
@@ -18,7 +18,7 @@ def collecting():
 
 
 def seen(*, fails=False):
-    """(thread, whether garbage is collected) during undisturbed work."""
+    """(thread, whether garbage is collected) during uninterrupted work."""
     found = []
 
     def work():
@@ -27,7 +27,7 @@ def seen(*, fails=False):
             raise ArithmeticError
 
     try:
-        undisturbed(work)
+        run_uninterrupted(work)
     except ArithmeticError:
         assert fails
     return found

@@ -66,14 +66,14 @@ def test_every_private_part_has_a_test():
 
 
 def test_no_other_module_imports_a_private_part():
-    found = {
+    warnings_of = {
         (source, module, name)
         for source, path in SOURCES.items()
         for module, name in imports(ast.parse(path.read_text()))
         if module.split(".")[0] in ("numba", "llvmlite")
         and (module not in PUBLIC or name in ("core", "np", "misc"))
     }
-    assert {source for source, *_ in found} == {"compiler/internals.py"}, found
+    assert {source for source, *_ in warnings_of} == {"compiler/internals.py"}, warnings_of
 
 
 # ---------------------------------------------------------------- translating once
@@ -189,9 +189,9 @@ def test_alloca_once_zeroes_what_it_allocates():
     def emit(context, builder, values):
         memory = cgutils.alloca_once(builder, ir.ArrayType(ir.DoubleType(), 8))
         place = builder.gep(memory, [INT64(0), INT64(5)])
-        found = builder.load(place)
+        number = builder.load(place)
         builder.store(values[0], place)
-        return found
+        return number
 
     assert [computed(emit, 7.0) for _ in range(2)] == [0.0, 0.0]
 
@@ -370,10 +370,10 @@ def test_linked_code_is_called_and_says_whether_it_raised():
 
     def emit(context, builder, values):
         internals.link(context, result)
-        status, found = internals.call_linked(context, builder, result, values)
+        status, number = internals.call_linked(context, builder, result, values)
         known = builder.icmp_unsigned("!=", builder.ptrtoint(status.excinfoptr, INT64), INT64(0))
         raised = builder.and_(builder.and_(status.is_error, status.is_user_exc), known)
-        return builder.select(raised, ir.DoubleType()(-1.0), found)
+        return builder.select(raised, ir.DoubleType()(-1.0), number)
 
     assert [computed(emit, x) for x in (9.0, -9.0)] == [3.0, -1.0]
 
@@ -452,18 +452,18 @@ def test_locators_choose_folders(monkeypatch, tmp_path):
 # ---------------------------------------------------------------- compiling
 
 
-def _look(found=[]):  # noqa: B006
+def _look(acquired=[]):  # noqa: B006
     """Return whether another thread can compile now."""
 
     def look():
-        found.append(internals.COMPILER_LOCK.acquire(blocking=False))
-        if found[-1]:
+        acquired.append(internals.COMPILER_LOCK.acquire(blocking=False))
+        if acquired[-1]:
             internals.COMPILER_LOCK.release()
 
     thread = threading.Thread(target=look)
     thread.start()
     thread.join()
-    return found
+    return acquired
 
 
 def _looking(x):
@@ -506,11 +506,11 @@ def test_names_in_tells_what_compiled_code_names_and_where():
     outer(4.0)
     (result,) = outer.overloads.values()
     assert not internals.runs_python(result)
-    found = list(internals.names_in(result))
+    names = list(internals.names_in(result))
     line = outer.py_func.__code__.co_firstlineno + 2
-    assert [at for value, _, at in found if value is np.sqrt] == [line]
-    assert any(value is np for value, *_ in found)
-    assert any(getattr(ty, "dispatcher", None) is inner for _, ty, _ in found)
+    assert [at for value, _, at in names if value is np.sqrt] == [line]
+    assert any(value is np for value, *_ in names)
+    assert any(getattr(ty, "dispatcher", None) is inner for _, ty, _ in names)
 
 
 def test_runs_python_sees_objmode():

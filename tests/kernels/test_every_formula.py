@@ -134,14 +134,14 @@ def public(package):
     """(name, function) of all public functions and methods in the modules of a package."""
     for info in pkgutil.iter_modules(package.__path__, f"{package.__name__}."):
         module = importlib.import_module(info.name)
-        for name, found in vars(module).items():
-            if name.startswith("_") or getattr(found, "__module__", None) != module.__name__:
+        for name, item in vars(module).items():
+            if name.startswith("_") or getattr(item, "__module__", None) != module.__name__:
                 continue
             prefix = f"{info.name.removeprefix('lierb.kernels.')}.{name}"
-            if inspect.isfunction(found):
-                yield prefix, inspect.unwrap(found)
-            is_described = inspect.isclass(found) and not getattr(found, "_is_protocol", False)
-            for method, of in vars(found).items() if is_described else ():
+            if inspect.isfunction(item):
+                yield prefix, inspect.unwrap(item)
+            is_described = inspect.isclass(item) and not getattr(item, "_is_protocol", False)
+            for method, of in vars(item).items() if is_described else ():
                 of = getattr(of, "fget", None) or getattr(of, "func", None) or of
                 of = getattr(of, "__func__", of)
                 is_own = inspect.isfunction(of) and of.__module__ == module.__name__
@@ -293,7 +293,7 @@ def shape_of(x):
 def recorded():
     """Arguments of every formula, of each kind that occurs: those of the first such call."""
     names = {f.__code__: name for name, f in FUNCTIONS.items() if name not in LOOPS}
-    found, calls = defaultdict(dict), defaultdict(int)
+    samples, calls = defaultdict(dict), defaultdict(int)
 
     def look(frame, event, _):
         code = frame.f_code
@@ -303,16 +303,16 @@ def recorded():
         arguments = code.co_varnames[: code.co_argcount]
         given = tuple(frame.f_locals[name] for name in arguments)
         kind = shape_of(given)
-        if kind not in found[names[code]]:
+        if kind not in samples[names[code]]:
             # uninitialised memory may hold anything
-            found[names[code]][kind] = mapped(given, lambda x: 1.0 if abs(x) > 1e9 else x)
+            samples[names[code]][kind] = mapped(given, lambda x: 1.0 if abs(x) > 1e9 else x)
 
     sys.setprofile(look)
     try:
         go_through_all(calls.clear)
     finally:
         sys.setprofile(None)
-    return {name: few(list(kinds.values())) for name, kinds in found.items()}
+    return {name: few(list(kinds.values())) for name, kinds in samples.items()}
 
 
 def few(kinds):
@@ -328,9 +328,9 @@ def beside(given, zeros):
 def directions(given):
     """A direction for each number; zeros stay."""
     rng = np.random.default_rng(2)
-    found = []
-    mapped(given, lambda x: found.append(rng.uniform(-1.0, 1.0) * (x != 0.0)) or x)
-    return found
+    direction = []
+    mapped(given, lambda x: direction.append(rng.uniform(-1.0, 1.0) * (x != 0.0)) or x)
+    return direction
 
 
 # ---------------------------------------------------------------- what it gives
@@ -358,8 +358,8 @@ def has_arrays(x):
 
 def by_duals(name, given):
     along = iter(directions(given))
-    found = evaluated(name, given, lambda x: Dual(x, (next(along),)))
-    return np.array([(float(value_of(x)), float(sum(parts_of(x), 0.0))) for x in found]).T
+    duals = evaluated(name, given, lambda x: Dual(x, (next(along),)))
+    return np.array([(float(value_of(x)), float(sum(parts_of(x), 0.0))) for x in duals]).T
 
 
 def by_differences(name, given):
@@ -367,8 +367,8 @@ def by_differences(name, given):
 
     def moved(step):
         along = iter(directions(given))
-        found = evaluated(name, given, lambda x: Exact(mp.mpf(x) + step * next(along)))
-        return np.array([x.value if isinstance(x, Exact) else mp.mpf(x) for x in found])
+        numbers = evaluated(name, given, lambda x: Exact(mp.mpf(x) + step * next(along)))
+        return np.array([x.value if isinstance(x, Exact) else mp.mpf(x) for x in numbers])
 
     before, here, after = map(moved, (-STEP, 0, STEP))
     slopes = ((after - before) / (2 * STEP)).astype(float)

@@ -124,25 +124,25 @@ def test_logarithm_is_to_an_ulp():
 
 
 def test_sample_is_standard_normal_and_independent():
-    found = lierb.noise.sample(1, np.arange(2000), "gyro", np.arange(20)[:, None], 3)
-    assert found.shape == (20, 2000, 3)
-    assert stats.kstest(found.ravel(), "norm").pvalue > 1e-3  # a fixed seed: no test by chance
-    assert abs(found.mean()) < 4.0 / np.sqrt(found.size)
-    assert abs(found.var() - 1.0) < 4.0 * np.sqrt(2.0 / found.size)
-    for other in (found[1:], found[:, 1:], found[..., 1:]):  # neighbours in each direction
-        same = found[tuple(slice(n) for n in other.shape)]
+    samples = lierb.noise.sample(1, np.arange(2000), "gyro", np.arange(20)[:, None], 3)
+    assert samples.shape == (20, 2000, 3)
+    assert stats.kstest(samples.ravel(), "norm").pvalue > 1e-3  # a fixed seed: no test by chance
+    assert abs(samples.mean()) < 4.0 / np.sqrt(samples.size)
+    assert abs(samples.var() - 1.0) < 4.0 * np.sqrt(2.0 / samples.size)
+    for other in (samples[1:], samples[:, 1:], samples[..., 1:]):  # neighbours in each direction
+        same = samples[tuple(slice(n) for n in other.shape)]
         r = np.mean(same * other)
         assert abs(r) < 4.0 / np.sqrt(other.size)
 
 
 def test_sample_is_what_kernels_draw():
     trajectories = np.arange(4.0)
-    found = lierb.noise.sample(5, trajectories, "gyro", 9, 2)
+    samples = lierb.noise.sample(5, trajectories, "gyro", 9, 2)
     expected = normals(Noise(np.full(4, 5.0), trajectories, np.full(4, 9.0)), "gyro", 2)
-    assert np.array_equal(found, np.transpose(expected))
+    assert np.array_equal(samples, np.transpose(expected))
     alone = lierb.noise.sample(5, 2, "gyro", 9)
     assert alone.shape == ()
-    assert alone == found[2, 0]
+    assert alone == samples[2, 0]
 
 
 @pytest.mark.parametrize(

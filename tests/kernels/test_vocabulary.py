@@ -31,13 +31,13 @@ def test_log_inverts_exp():
 
 
 def test_quaternion_is_scipys():
-    found = lierb.quaternion(MATRICES)
+    quaternions = lierb.quaternion(MATRICES)
     turned = Rotation.from_matrix(MATRICES.reshape(-1, 3, 3))
     wanted = turned.as_quat(canonical=True, scalar_first=True).reshape(2, 5, 4)
     # a few roundings, here and in SciPy's matrices
-    np.testing.assert_allclose(found, wanted, atol=4e-15)
+    np.testing.assert_allclose(quaternions, wanted, atol=4e-15)
     np.testing.assert_allclose(lierb.quaternion(turned).reshape(2, 5, 4), wanted, atol=4e-15)
-    assert (found[..., 0] >= 0.0).all()
+    assert (quaternions[..., 0] >= 0.0).all()
 
 
 def test_half_turns_have_one_quaternion_and_one_vector():
@@ -144,10 +144,10 @@ def assert_numpys(name, found, function, *columns):
 def traced(functions):
     """A formula that gives what each of the functions gives."""
 
-    def number(found):
-        found = found.item() if isinstance(found, np.ndarray) else found
-        found = found.number() if isinstance(found, Condition) else found
-        return found.value if isinstance(found, UserNumber) else found
+    def number(result):
+        result = result.item() if isinstance(result, np.ndarray) else result
+        result = result.number() if isinstance(result, Condition) else result
+        return result.value if isinstance(result, UserNumber) else result
 
     copies = [traceable(function) for function in functions.values()]
     return lambda *xs: tuple(number(copy(*map(UserNumber, xs))) for copy in copies)

@@ -172,12 +172,12 @@ class Placed(NamedTuple):
         value, turning = self.R @ columns, skew(self.w)
         rate = turning @ value
         bias = turning @ rate
-        found = []
+        components = []
         for k in range(columns.shape[-1]):
             jacobian = np.zeros((len(value), 3, 12))
             jacobian[:, :, 6 * side + 3 : 6 * side + 6] = -skew(value[..., k])
-            found.append(Moving(value[..., k], rate[..., k], jacobian, bias[..., k]))
-        return found
+            components.append(Moving(value[..., k], rate[..., k], jacobian, bias[..., k]))
+        return components
 
     def point(self, s: np.ndarray, side: int) -> Moving:
         """A point of the body, s (n, 3) from its centre of mass in its axes."""
@@ -230,10 +230,10 @@ def _rise(s):
     bias = np.einsum("ni,ni->n", s.g[2].rate, s.w.rate)
     rate = np.einsum("ni,ni->n", s.g[2].value, s.w.rate)
     angle = Moving(np.arctan2(sine, cosine), rate, turned.jacobian, bias)
-    found = rise - angle.times(s.pitch)
+    residual = rise - angle.times(s.pitch)
     whole = 2.0 * np.pi * np.where(s.pitch == 0.0, 1.0, s.pitch)
-    lost = np.where(s.pitch == 0.0, 0.0, whole * np.rint(found.value / whole))
-    return found._replace(value=found.value - lost)
+    lost = np.where(s.pitch == 0.0, 0.0, whole * np.rint(residual.value / whole))
+    return residual._replace(value=residual.value - lost)
 
 
 def _at_length(square: Moving, length: np.ndarray) -> Moving:
@@ -406,23 +406,23 @@ class System:
 
     def conditions(self, placed: list[Placed]) -> tuple[Moving, list[slice]]:
         """All rows, with jacobians (n, rows, 6·links), and the rows of each joint."""
-        found: list[Moving] = []
+        stacked: list[Moving] = []
         places: list[slice] = []
         for joint in self.given.joints:
             seen = self.seen(joint, placed)
-            first = len(found)
+            first = len(stacked)
             for condition in CONDITIONS[joint.kind]:
                 row = condition(seen)
                 wide = np.zeros((self.size, 6 * self.links))
                 wide[:, 6 * joint.body : 6 * joint.body + 6] += row.jacobian[:, :6]
                 if joint.parent is not None:
                     wide[:, 6 * joint.parent : 6 * joint.parent + 6] += row.jacobian[:, 6:]
-                found.append(row._replace(jacobian=wide))
-            places.append(slice(first, len(found)))
-        if not found:
+                stacked.append(row._replace(jacobian=wide))
+            places.append(slice(first, len(stacked)))
+        if not stacked:
             none = np.zeros((self.size, 0))
             return Moving(none, none, np.zeros((self.size, 0, 6 * self.links)), none), places
-        return Moving(*(np.stack(x, 1) for x in zip(*found, strict=True))), places
+        return Moving(*(np.stack(x, 1) for x in zip(*stacked, strict=True))), places
 
     def whitened(self, placed: list[Placed]) -> np.ndarray:
         """W (n, 6·links, 6·links) with Wᵀ M W = I, M the mass matrix in ground axes."""
@@ -495,13 +495,13 @@ class System:
 
     def rate(self, state: np.ndarray) -> np.ndarray:
         """d/dt of a state."""
-        found = np.empty_like(state)
+        rates = np.empty_like(state)
         acceleration = self.accelerated(state)[0].reshape(self.size, self.links, 6)
-        found[..., :3] = state[..., 7:10]
+        rates[..., :3] = state[..., 7:10]
         spin = np.concatenate([np.zeros_like(state[..., :1]), state[..., 10:]], -1)
-        found[..., 3:7] = 0.5 * product(spin, state[..., 3:7])
-        found[..., 7:] = acceleration
-        return found
+        rates[..., 3:7] = 0.5 * product(spin, state[..., 3:7])
+        rates[..., 7:] = acceleration
+        return rates
 
     def settled(self, state: np.ndarray) -> np.ndarray:
         """The nearest state on all conditions, in the mass metric: Newton, then the velocities."""
@@ -536,7 +536,7 @@ class System:
         """
         placed = self._placed(state)
         _, multipliers, places, rows = self.accelerated(state)
-        found = np.zeros((self.size, len(self.given.joints), 6))
+        wrenches = np.zeros((self.size, len(self.given.joints), 6))
         for k, (joint, own) in enumerate(zip(self.given.joints, places, strict=True)):
             i = joint.body
             columns = rows.jacobian[:, own, 6 * i : 6 * i + 6]
@@ -545,9 +545,9 @@ class System:
             point = placed[i].point(B[:, :3, 3] - self.com[:, i], 0).value
             torque = wrench[:, 3:] + cross(placed[i].x - point, wrench[:, :3])
             axes = placed[i].R @ B[:, :3, :3]
-            found[:, k, :3] = np.einsum("nij,ni->nj", axes, torque)
-            found[:, k, 3:] = np.einsum("nij,ni->nj", axes, wrench[:, :3])
-        return found
+            wrenches[:, k, :3] = np.einsum("nij,ni->nj", axes, torque)
+            wrenches[:, k, 3:] = np.einsum("nij,ni->nj", axes, wrench[:, :3])
+        return wrenches
 
     def unique(self, state: np.ndarray) -> np.ndarray:
         """(n, joints, 6): which entries of `reactions` follow from the motion.
@@ -556,7 +556,7 @@ class System:
         """
         placed = self._placed(state)
         rows, places = self.conditions(placed)
-        found = np.ones((self.size, len(self.given.joints), 6), bool)
+        fixed = np.ones((self.size, len(self.given.joints), 6), bool)
         for n in range(self.size):
             U, s, _ = np.linalg.svd(rows.jacobian[n])
             idle = U[:, int(np.sum(s > RANK_TOLERANCE * s[:1].max(initial=0.0))) :]
@@ -570,8 +570,8 @@ class System:
                 axes = placed[i].R[n] @ B[:3, :3]
                 torque = wrenches[3:] - np.cross(arm, wrenches[:3], axisb=0, axisc=0)
                 both = np.concatenate([axes.T @ torque, axes.T @ wrenches[:3]])
-                found[n, k] = np.max(np.abs(both), axis=1) < 1e-8
-        return found
+                fixed[n, k] = np.max(np.abs(both), axis=1) < 1e-8
+        return fixed
 
     # -- what is conserved
 

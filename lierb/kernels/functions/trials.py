@@ -11,7 +11,7 @@ from typing import Any
 import numba
 import numpy as np
 
-from lierb.compiler.code import undisturbed
+from lierb.compiler.code import run_uninterrupted
 from lierb.kernels.functions.function import BODY, Function, dispatcher_of, size_of
 from lierb.kernels.functions.purity import require_pure_code, require_repeatable
 from lierb.kernels.functions.returned_values import as_array
@@ -92,7 +92,7 @@ def compile_alone(function: Function) -> None:
     """Compile the function for one body at a time. Raises any error of Numba."""
     compiled, samples = dispatcher_of(function), tuple(function.samples())
     if hasattr(compiled, "compile"):
-        undisturbed(compiled.compile, (numba.typeof(samples),))
+        run_uninterrupted(compiled.compile, (numba.typeof(samples),))
         require_pure_code(compiled)
     else:  # the JIT is off
         compiled(samples)

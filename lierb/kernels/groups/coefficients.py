@@ -170,10 +170,10 @@ def _half_taylor(z: Number, terms: int, cuts: Cuts) -> Vec:
 def _sinc_series(z: Number, series: tuple[float, ...], terms: int, cuts: Cuts) -> Number:
     """Series of sinc θ, with one term more than the others for tiny angles."""
 
-    def taken(terms: int) -> int:
+    def terms_of(terms: int) -> int:
         return terms + (terms == TINY_TERMS)
 
-    return horner(z, series[: taken(terms)], tuple((mask, taken(n)) for mask, n in cuts))
+    return horner(z, series[: terms_of(terms)], tuple((mask, terms_of(n)) for mask, n in cuts))
 
 
 def _pole_series(z: Number, series: tuple[float, ...], terms: int, cuts: Cuts) -> Number:

@@ -23,10 +23,10 @@ def axis_of(p: Vec) -> int:
 def matrix(p: Vec) -> Mat:
     axis = axis_of(p)
     i, j = (axis + 1) % 3, (axis + 2) % 3
-    found = list(IDENTITY)
-    found[4 * i] = found[4 * j] = p[0]
-    found[3 * j + i], found[3 * i + j] = p[1 + axis], -p[1 + axis]
-    return tuple(found)
+    q = list(IDENTITY)
+    q[4 * i] = q[4 * j] = p[0]
+    q[3 * j + i], q[3 * i + j] = p[1 + axis], -p[1 + axis]
+    return tuple(q)
 
 
 def pose(c: Chart) -> Pose:

@@ -39,7 +39,7 @@ def watch(service, inputs, counter, jobs):
     elif kind == BEGIN:
         begin_search(search)
         request[0, ws.TASK], request[0, ws.TURN] = SAMPLE, 0.0
-        request[0, ws.FIRST_EVENT] = search.found[0, 0] + 1.0
+        request[0, ws.FIRST_EVENT] = search.rows[0, 0] + 1.0
     elif kind == NEXT_TASK:
         task = int(request[0, ws.TASK])
         starts = job.begin != RESUMED and task == SAMPLE and any_starts(search, job.start)
@@ -255,16 +255,16 @@ def narrow(search):
 @in_watch
 def note_events(search):
     """Append a row for each crossing, with the state there, which is in the workspace."""
-    found = search.found
+    rows = search.rows
     for lane in range(search.lanes):
         if search.selected[lane] == 0.0:
             continue
-        index, event, theta = int(found[0, 0]) + 1, int(search.event[lane]), search.high[lane]
-        found[0, 0] = index
-        found[index, 0], found[index, 1] = search.trajectory[lane], event
-        found[index, 2] = search.start[lane] + theta * search.length[lane]
-        for c in range(found.shape[1] - ws.EVENT_COLUMNS):
-            found[index, ws.EVENT_COLUMNS + c] = search.shown[c, lane]
+        index, event, theta = int(rows[0, 0]) + 1, int(search.event[lane]), search.high[lane]
+        rows[0, 0] = index
+        rows[index, 0], rows[index, 1] = search.trajectory[lane], event
+        rows[index, 2] = search.start[lane] + theta * search.length[lane]
+        for c in range(rows.shape[1] - ws.EVENT_COLUMNS):
+            rows[index, ws.EVENT_COLUMNS + c] = search.shown[c, lane]
         if search.terminal[event] > 0.0:
             search.last[lane] = min(search.last[lane], theta)
 
@@ -275,14 +275,14 @@ def drop_later(search, first):
 
     Return whether any trajectory ends.   first : index of the first event recorded in this step.
     """
-    found, any_ends = search.found, False
+    rows, any_ends = search.rows, False
     for lane in range(search.lanes):
         if search.last[lane] <= 1.0:
             any_ends = True
             end = search.start[lane] + search.last[lane] * search.length[lane]
-            for index in range(first, int(found[0, 0]) + 1):
-                if found[index, 0] == search.trajectory[lane] and found[index, 2] > end:
-                    found[index, 0] = -1.0
+            for index in range(first, int(rows[0, 0]) + 1):
+                if rows[index, 0] == search.trajectory[lane] and rows[index, 2] > end:
+                    rows[index, 0] = -1.0
     return any_ends
 
 

@@ -31,7 +31,7 @@ class Search(NamedTuple):
         θ = 2 for none.
     roundings : [event][lane], effect of rounding on the value at a trajectory's start.
     directions, terminal : [event].
-    shown : [column][lane].   found : [index][column], rows of events; [0][0] is the count.
+    shown : [column][lane].   rows : [index][column], rows of events; [0][0] is the count.
     """
 
     lanes: int
@@ -57,7 +57,7 @@ class Search(NamedTuple):
     directions: Any
     terminal: Any
     shown: Any
-    found: Any
+    rows: Any
 
 
 @in_watch

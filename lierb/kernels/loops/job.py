@@ -30,7 +30,7 @@ RESULTS = {
     "ends": "[`end_columns`][trajectory]",
 }
 ARRAYS = {
-    "places": "int64, [column of inputs][address for the first trajectory, bytes to the next]",
+    "addresses": "int64, [column of inputs][address for the first trajectory, bytes to the next]",
     "varying": "int64, [1][columns of inputs in which trajectories differ]",
     "inputs": "[thread][column][lane], where each thread gathers a block's numbers",
     "table": "int64, [1][`lierb.kernels.systems.tree_table`], for a looped plan",
@@ -82,19 +82,19 @@ JOB = np.dtype(
 _ONES = ((1, 1, 1), (1, 1), (1,), ())  # extents of the axes that an array lacks
 _CODES = {"i": "q", "f": "d", "V": "4q"}  # integers, floats, addresses with extents
 _PACKED = Struct("=" + "".join(_CODES[JOB[name].kind] for name in JOB.names or ()))
-_PLACES = {name: 4 * i for i, name in enumerate(ARRAYS)}  # in the content of a record
-_PLACES |= {name: i for i, name in enumerate((JOB.names or ())[len(ARRAYS) :], 4 * len(ARRAYS))}
-_EMPTY: list[float] = [0] * (3 * len(ARRAYS) + len(_PLACES))
+_OFFSETS = {name: 4 * i for i, name in enumerate(ARRAYS)}  # in the content of a record
+_OFFSETS |= {name: i for i, name in enumerate((JOB.names or ())[len(ARRAYS) :], 4 * len(ARRAYS))}
+_EMPTY: list[float] = [0] * (3 * len(ARRAYS) + len(_OFFSETS))
 
 
 def job_of(arrays: Mapping[str, NDArray], numbers: Mapping[str, float]) -> bytes:
     """Pack a record; what is missing is zero. The caller keeps the arrays alive."""
     content = _EMPTY.copy()
     for name, array in arrays.items():
-        at, shape = _PLACES[name], array.shape
+        at, shape = _OFFSETS[name], array.shape
         content[at : at + 4] = array.__array_interface__["data"][0], *shape, *_ONES[len(shape)]
     for name, number in numbers.items():
-        content[_PLACES[name]] = number
+        content[_OFFSETS[name]] = number
     return _PACKED.pack(*content)
 
 

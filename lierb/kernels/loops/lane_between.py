@@ -13,7 +13,7 @@ from lierb.kernels.stepping.lane_clock import LaneClock, Trial, rounding_at
 from lierb.kernels.stepping.method import Interval
 from lierb.kernels.stepping.runge_kutta import method_of
 from lierb.kernels.stepping.step_size import parts_to_watch
-from lierb.kernels.systems.extra_states import Held, with_signals
+from lierb.kernels.systems.extra_states import Control, with_signals
 from lierb.kernels.systems.plan import AnyPlan
 from lierb.kernels.systems.signals import events_of
 from lierb.kernels.systems.state import EVENT, State
@@ -23,7 +23,7 @@ from lierb.kernels.tracing.trace import kernel
 
 def slopes_between(plan: AnyPlan, body: Any, state: State, made: Made, trial: Trial) -> Any:
     """Return the slopes of the continuous extension."""
-    if not plan.looks or plan.extension is None:
+    if not plan.interpolates or plan.extension is None:
         return ()
     at = Interval(*inside(plan, trial), trial.h)
     return method_of(plan).extended(system_of(plan), body, state, at, made.slopes)
@@ -33,7 +33,7 @@ def state_between(
     plan: AnyPlan, body: Any, state: State, slopes: Any, trial: Trial, theta: Any
 ) -> State:
     """Return the state at θ of a step."""
-    if not plan.looks:
+    if not plan.interpolates:
         return state  # never
     at = Interval(*inside(plan, trial), trial.h)
     return method_of(plan).between(system_of(plan), body, state, at, slopes, theta)
@@ -59,7 +59,7 @@ def is_due_between(plan: AnyPlan, lanes: Lanes, accepted: Any) -> Any:
 
     lanes : at that end.
     """
-    if not plan.looks:
+    if not plan.interpolates:
         return all_lanes(lanes.clock.t < lanes.clock.t)  # never
     return any_lanes(_is_due_before(lanes.clock, accepted))
 
@@ -79,7 +79,7 @@ def shown_between(
     """Return a row of the history at its due time, and the record."""
     shown, seen = observe(plan, body, state, lanes.record, lanes.clock.steps, lanes.clock.due)
     record = without_measures(plan, lanes.record, seen)
-    return (*shown, *state.states, *lanes.held.controls), record
+    return (*shown, *state.states, *lanes.control.controls), record
 
 
 def with_record(lanes: Lanes, record: Record) -> Lanes:
@@ -90,11 +90,11 @@ def with_record(lanes: Lanes, record: Record) -> Lanes:
 
 
 def put_values(
-    plan: AnyPlan, body: Any, state: State, held: Held, time: Any, values: Any, sample: Any
+    plan: AnyPlan, body: Any, state: State, control: Control, time: Any, values: Any, sample: Any
 ) -> None:
     """Store the values of all events, [sample][event][lane]."""
     if events_of(plan):
-        system, body = system_of(plan), with_signals(plan, body, state, held)
+        system, body = system_of(plan), with_signals(plan, body, state, control)
         for i, value in enumerate(system.events(body, system.motion(body, state, time), time)):
             store(values, (sample, i, 0), value, plan.lanes)
 
@@ -105,7 +105,7 @@ def put_roundings(
     """Store the effect of rounding on the events' current values, which are those of `sample`."""
     if events_of(plan):
         state, time = lanes.state, lanes.clock.t
-        system, body = system_of(plan), with_signals(plan, body, state, lanes.held)
+        system, body = system_of(plan), with_signals(plan, body, state, lanes.control)
         nearby = system.events_nearby(body, system.motion(body, state, time), time)
         now = [load(values, (sample, i, 0), plan.lanes) for i in range(len(nearby))]
         pairs = zip(nearby, now, strict=True)

@@ -39,7 +39,7 @@ from lierb.kernels.stepping.lane_clock import (
     rounding_at,
 )
 from lierb.kernels.stepping.step_size import Tolerances
-from lierb.kernels.systems.extra_states import Held, with_signals
+from lierb.kernels.systems.extra_states import Control, with_signals
 from lierb.kernels.systems.layout import LANE_END
 from lierb.kernels.systems.plan import AnyPlan
 from lierb.kernels.systems.signals import (
@@ -60,7 +60,7 @@ class Lanes(NamedTuple):
     state: State
     record: Record
     clock: LaneClock
-    held: Held
+    control: Control
 
 
 def any_of(numbers: Any) -> Any:
@@ -68,7 +68,7 @@ def any_of(numbers: Any) -> Any:
     return any_lanes(numbers > 0.0)
 
 
-def taken(mask: Any, new: Any, old: Any) -> Any:
+def select(mask: Any, new: Any, old: Any) -> Any:
     """Return `new` where the mask, 1 or 0, is 1, and `old` elsewhere."""
     return where(mask > 0.5, new, old)
 
@@ -90,16 +90,16 @@ def put_rows(plan: AnyPlan, rows: Any, first: int, numbers: Any) -> None:
 def load_lanes(plan: AnyPlan, body: Any, carried: Any) -> Lanes:
     state, record = load_carried(plan, body, carried, 0)
     columns = carried_columns(plan)
-    clock, *held = (
+    clock, *control = (
         [row_of(plan, carried, row) for row in range(columns[name].start, columns[name].stop)]
-        for name in ("clock", *Held._fields)
+        for name in ("clock", *Control._fields)
     )
-    return Lanes(state, record, LaneClock(*clock), Held(*map(tuple, held)))
+    return Lanes(state, record, LaneClock(*clock), Control(*map(tuple, control)))
 
 
 def store_lanes(plan: AnyPlan, body: Any, carried: Any, lanes: Lanes) -> None:
     store_carried(plan, body, carried, 0, lanes.state, lanes.record)
-    put_rows(plan, carried, carried_columns(plan)["clock"].start, (lanes.clock, lanes.held))
+    put_rows(plan, carried, carried_columns(plan)["clock"].start, (lanes.clock, lanes.control))
 
 
 # ---- exception flags of functions that are called body by body ----
@@ -150,14 +150,14 @@ def started(
     due = row_of(plan, rows, DUE)
     zero = 0.0 * row_of(plan, rows, NOISE_INDEX)
     system, periods = system_of(plan), periods_of(plan, body)
-    held = Held(
+    control = Control(
         (zero,) * size_of(outputs_of(plan)),
         tuple(zero + x for x in system.initial_memory(body)) if periods else (),
         tuple(zero + _first_tick(span.start, period) for period in periods),
     )
-    body = with_signals(plan, body, state, held)
+    body = with_signals(plan, body, state, control)
     clock = first_clock(plan, body, state, span, limits, zero)._replace(due=due)
-    return Lanes(state, initial_record(plan, body, state), clock, held)
+    return Lanes(state, initial_record(plan, body, state), clock, control)
 
 
 def periods_of(plan: AnyPlan, body: Any) -> Vec:
@@ -182,13 +182,13 @@ def resumed(plan: AnyPlan, body: Any, lanes: Lanes, limits: Tolerances, inputs: 
     )
     places = [(first + c, 0) for c in range(columns.count)]
     before = columns.parts([load(inputs, place, plan.lanes) for place in places])
-    held = (
+    control = (
         tuple(where(y == y, y, x) for x, y in zip(mine, before[name], strict=True))
-        for name, mine in lanes.held._asdict().items()
+        for name, mine in lanes.control._asdict().items()
     )
     clock = continued(plan, lanes.clock, limits, before)
     record = resumed_record(plan, inputs, lanes.record)
-    return lanes._replace(record=record, clock=clock, held=Held(*held))
+    return lanes._replace(record=record, clock=clock, control=Control(*control))
 
 
 # ---- results ----
@@ -202,7 +202,7 @@ def put_shown(
         in_memory(plan).put_links(body, shown, lanes.record.status == OK)
         return
     links = user_state(plan, body, inputs, state, lanes.record)
-    put_rows(plan, shown, 0, (*links, state.states, lanes.held.controls))
+    put_rows(plan, shown, 0, (*links, state.states, lanes.control.controls))
 
 
 def store_lane_summary(plan: AnyPlan, lanes: Lanes, summary: Any, column: Any) -> None:
@@ -210,7 +210,7 @@ def store_lane_summary(plan: AnyPlan, lanes: Lanes, summary: Any, column: Any) -
     clock = lanes.clock
     numbers = (clock.t, clock.steps, clock.rejected, clock.h)
     alive = lanes.record.status == OK
-    signals = (where(alive, x, NAN) for x in (*lanes.state.states, *lanes.held.controls))
+    signals = (where(alive, x, NAN) for x in (*lanes.state.states, *lanes.control.controls))
     for i, number in enumerate((*numbers, *signals)):
         put_row(plan, summary, column + i, number)
 
@@ -222,7 +222,7 @@ def store_lane_end(plan: AnyPlan, body: Any, lanes: Lanes, ends: Any) -> None:
     first: Any = len(state_columns(plan)) + plan.keeps_rank
     if plan.is_looped:
         first = in_memory(plan).end_columns(body)
-    for row, number in enumerate(flatten((own, lanes.held))):
+    for row, number in enumerate(flatten((own, lanes.control))):
         put_row(plan, ends, first + row, number)
 
 
@@ -240,7 +240,7 @@ def as_ended(lanes: Lanes, span: Span, termination: Any) -> Record:
 
 
 for _formula in (
-    any_of, taken, row_of, put_row, load_lanes, store_lanes, suppress_exceptions, clear_exceptions,
+    any_of, select, row_of, put_row, load_lanes, store_lanes, suppress_exceptions, clear_exceptions,
     restore_exceptions, own_start, started, resumed, put_shown, store_lane_summary, store_lane_end,
     as_ended, with_signals,
 ):  # fmt: skip

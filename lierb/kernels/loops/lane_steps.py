@@ -55,7 +55,7 @@ from lierb.kernels.stepping.step_size import (
     squared_correction,
     squared_error,
 )
-from lierb.kernels.systems.extra_states import Held, with_signals
+from lierb.kernels.systems.extra_states import Control, with_signals
 from lierb.kernels.systems.observables import Kept, observables_of, with_value
 from lierb.kernels.systems.plan import AnyPlan
 from lierb.kernels.systems.signals import controllers_of, memory_slices, output_slices
@@ -83,7 +83,7 @@ def sooner(lanes: Lanes, stop: Any, time: Any) -> Any:
 def next_trial(plan: AnyPlan, body: Any, lanes: Lanes, stop: Any, active: Any) -> Trial:
     """Return the step to be tried.   stop : latest end, s, without ticks, jumps and bounds."""
     clock, end = lanes.clock, stop
-    for period, tick in zip(periods_of(plan, body), lanes.held.ticks, strict=True):
+    for period, tick in zip(periods_of(plan, body), lanes.control.ticks, strict=True):
         time = period * tick  # a tick within rounding of the end counts as at the end
         time = where(absolute(time - end) <= rounding_at(end), end, time)
         stop = minimum(stop, time)
@@ -126,7 +126,7 @@ class Made(NamedTuple):
 def attempted(plan: AnyPlan, body: Any, lanes: Lanes, trial: Trial, limits: Tolerances) -> Made:
     """Try a step."""
     state, body = lanes.state, with_rank(plan, body, lanes.record)
-    is_continuous = plan.looks and plan.extension is not None
+    is_continuous = plan.interpolates and plan.extension is not None
     all_stages = is_continuous or plan.embedded is not None
     at = Interval(*inside(plan, trial), trial.h)
     made = method_of(plan).step(system_of(plan), body, state, at, all_stages)
@@ -205,7 +205,7 @@ def moved_to(lanes: Lanes, state: State, mask: Any) -> Lanes:
 def to_tick(plan: AnyPlan, body: Any, lanes: Lanes, fresh: Any, termination: Any) -> Any:
     """Return 1 where a controller must run; 0 where an event has just ended a trajectory."""
     due = fresh < -1.0  # never
-    for tick, period in zip(lanes.held.ticks, periods_of(plan, body), strict=True):
+    for tick, period in zip(lanes.control.ticks, periods_of(plan, body), strict=True):
         due = due | _ticks(lanes.clock, tick, period, fresh)
     return where(due & (termination == 0.0), 1.0, 0.0 * fresh)
 
@@ -227,8 +227,8 @@ def ticked(plan: AnyPlan, body: Any, lanes: Lanes, ticks: Any, rows: Any, seed: 
         before = _observed(plan, body, lanes, 0.5 * (clock.t - clock.seen))
         record = record._replace(observed=where(due, before, record.observed))
         clock = clock._replace(seen=where(due, clock.t, clock.seen))
-    held = _controlled(plan, body, lanes._replace(clock=clock), ticks, rows, seed)
-    lanes = Lanes(lanes.state, record, clock, held)
+    control = _controlled(plan, body, lanes._replace(clock=clock), ticks, rows, seed)
+    lanes = Lanes(lanes.state, record, clock, control)
     if watches:
         after = tuple(
             new._replace(total=old.total, lost=old.lost)  # an infinite total stays infinite
@@ -241,22 +241,24 @@ def ticked(plan: AnyPlan, body: Any, lanes: Lanes, ticks: Any, rows: Any, seed: 
     return lanes._replace(record=record)
 
 
-def _controlled(plan: AnyPlan, body: Any, lanes: Lanes, ticks: Any, rows: Any, seed: Any) -> Held:
+def _controlled(
+    plan: AnyPlan, body: Any, lanes: Lanes, ticks: Any, rows: Any, seed: Any
+) -> Control:
     system, stream = system_of(plan), row_of(plan, rows, NOISE_INDEX)
-    state, clock, held = lanes.state, lanes.clock, lanes.held
+    state, clock, control = lanes.state, lanes.clock, lanes.control
     for number, period in enumerate(periods_of(plan, body)):
-        tick = held.ticks[number]
+        tick = control.ticks[number]
         due = _ticks(clock, tick, period, ticks)
-        at = with_signals(plan, body, state, held)
+        at = with_signals(plan, body, state, control)
         seen = system.motion(at, state, clock.t)
         noise = Noise(seed, stream, tick)
         controls, memory = system.controlled(at, seen, clock.t, number, noise)
-        held = Held(
-            _set(held.controls, output_slices(plan)[number], controls, due),
-            _set(held.memory, memory_slices(plan)[number], memory, due),
-            _set(held.ticks, slice(number, number + 1), (tick + 1.0,), due),
+        control = Control(
+            _set(control.controls, output_slices(plan)[number], controls, due),
+            _set(control.memory, memory_slices(plan)[number], memory, due),
+            _set(control.ticks, slice(number, number + 1), (tick + 1.0,), due),
         )
-    return held
+    return control
 
 
 def _set(numbers: Vec, part: slice, new: Any, mask: Any) -> Vec:
@@ -270,7 +272,7 @@ def _observed(plan: AnyPlan, body: Any, lanes: Lanes, half: Any) -> tuple[Kept, 
     half : half the time since the last evaluation, s.
     """
     time, record = lanes.clock.t, lanes.record
-    system, body = system_of(plan), with_signals(plan, body, lanes.state, lanes.held)
+    system, body = system_of(plan), with_signals(plan, body, lanes.state, lanes.control)
     alive = record.status == OK
     values = system.observed(body, system.motion(body, lanes.state, time), time)
     return tuple(
@@ -293,13 +295,13 @@ def _is_due(clock: LaneClock, fresh: Any) -> Any:
     return (fresh > 0.5) & (clock.due - clock.t <= rounding_at(clock.t))
 
 
-def looks_now(plan: AnyPlan, lanes: Lanes, span: Span, fresh: Any, termination: Any) -> Any:
+def measures_now(plan: AnyPlan, lanes: Lanes, span: Span, fresh: Any, termination: Any) -> Any:
     """Return whether any lane is measured now, or has a row of the history due."""
     now = to_measure(lanes.clock, span, fresh, termination)
     return any_lanes(now | _is_due(lanes.clock, fresh))
 
 
-def looked(
+def with_measures(
     plan: AnyPlan, body: Any, lanes: Lanes, span: Span, fresh: Any, termination: Any
 ) -> tuple[tuple[Any, ...], Lanes]:
     """Return a row of the history, and the lanes with the current measures recorded."""
@@ -315,13 +317,13 @@ def looked(
     record = where(now, seen, without_measures(plan, record, seen))
     restore_exceptions(plan, flags, mask)
     clock = clock._replace(seen=where(now, clock.t, clock.seen))
-    row = (*shown, *lanes.state.states, *lanes.held.controls)
+    row = (*shown, *lanes.state.states, *lanes.control.controls)
     return row, lanes._replace(record=record, clock=clock)
 
 
 def select_due(plan: AnyPlan, rows: Any, lanes: Lanes, fresh: Any) -> Any:
     """Select the lanes in which a row of the history is due; return whether there is any."""
-    if not plan.looks:
+    if not plan.interpolates:
         return all_lanes(lanes.clock.t < lanes.clock.t)  # never
     due = _is_due(lanes.clock, fresh)
     put_row(plan, rows, SELECTED, where(due, 1.0, 0.0 * lanes.clock.t))
@@ -346,6 +348,6 @@ def tidied(plan: AnyPlan, body: Any, lanes: Lanes, fresh: Any, termination: Any)
 
 for _formula in (
     last_end, sooner, next_trial, attempted, decided, with_failures, moved_to, to_tick, ticked,
-    termination_now, looks_now, looked, select_due, with_due, is_to_tidy, tidied,
+    termination_now, measures_now, with_measures, select_due, with_due, is_to_tidy, tidied,
 ):  # fmt: skip
     kernel(_formula)

@@ -22,7 +22,7 @@ from lierb.kernels.loops import lane_steps as steps
 from lierb.kernels.loops import workspace as ws
 from lierb.kernels.loops.event_state import AT_THETA
 from lierb.kernels.loops.job import BODIES, RESUMED, TWISTS, UNSEEN
-from lierb.kernels.loops.lane_state import any_of, put_row, row_of, taken
+from lierb.kernels.loops.lane_state import any_of, put_row, row_of, select
 from lierb.kernels.loops.record import (
     clear_errors,
     copy_next,
@@ -97,17 +97,17 @@ def _start(plan, body, inputs, counter, jobs, lanes, fresh, span, limits):
     rows, values = numbers_at(own.rows), histories_at(own.values)
     flags = lane_state.clear_exceptions(plan, fresh)
     if job.begin == RESUMED:
-        state = taken(fresh, resumed_state(plan, body, inputs), lanes.state)
+        state = select(fresh, resumed_state(plan, body, inputs), lanes.state)
     else:
-        state = taken(fresh, lane_state.own_start(plan, body, inputs, rows), lanes.state)
+        state = select(fresh, lane_state.own_start(plan, body, inputs, rows), lanes.state)
     take_next(plan, body, fresh)
     clear_errors(plan, body, fresh)
     begun = lane_state.started(plan, body, state, rows, span, limits)
     if job.begin == RESUMED:
         begun = lane_state.resumed(plan, body, begun, limits, inputs)
-    lanes = taken(fresh, begun, lanes)
+    lanes = select(fresh, begun, lanes)
     if own.watched > 0:
-        inner.put_values(plan, body, lanes.state, lanes.held, lanes.clock.t, values, ws.SAMPLES)
+        inner.put_values(plan, body, lanes.state, lanes.control, lanes.clock.t, values, ws.SAMPLES)
         inner.put_roundings(plan, body, lanes, values, ws.SAMPLES, numbers_at(own.roundings))
         _request(job.watch, search.NOTE_STARTS, inputs, counter, jobs)
     lane_state.restore_exceptions(plan, flags, fresh)
@@ -121,7 +121,7 @@ def _save_between(plan, body, inputs, counter, jobs, lanes, there):
     rows = numbers_at(own.rows)
     due = row_of(plan, rows, ws.SELECTED)
     flags = lane_state.suppress_exceptions(plan, due)
-    at = with_signals(plan, body, there, lanes.held)
+    at = with_signals(plan, body, there, lanes.control)
     exchange(plan, body)
     row, record = inner.shown_between(plan, at, there, lanes)
     lanes = inner.with_record(lanes, record)
@@ -176,11 +176,11 @@ def _look_between(
         else:
             there = inner.state_between(plan, ranked, state, slopes, trial, theta)
             if is_end:
-                there = taken(part.is_last, moved, there)
-                time = taken(part.is_last, trial.end, time)
+                there = select(part.is_last, moved, there)
+                time = select(part.is_last, trial.end, time)
         if task == search.SAMPLE or task == search.DIP or task == search.ROOT:
             sample = turn if task == search.SAMPLE else AT_THETA
-            inner.put_values(plan, seen, there, lanes.held, time, values, sample)
+            inner.put_values(plan, seen, there, lanes.control, time, values, sample)
             if task != search.SAMPLE:
                 kind = search.NARROW if task == search.ROOT else search.NOTE_DIP
                 _request(job.watch, kind, inputs, counter, jobs)
@@ -203,8 +203,8 @@ def _measure(plan, body, inputs, counter, jobs, lanes, span, fresh, termination)
     """Measure the lanes at the end of a step, and save the rows that are due there."""
     job, own = jobs[0], jobs[1]
     rows, is_saved = numbers_at(own.rows), job.rows_per_link > 1
-    seen = with_signals(plan, body, lanes.state, lanes.held)
-    row, lanes = steps.looked(plan, seen, lanes, span, fresh, termination)
+    seen = with_signals(plan, body, lanes.state, lanes.control)
+    row, lanes = steps.with_measures(plan, seen, lanes, span, fresh, termination)
     while steps.select_due(plan, rows, lanes, fresh):  # several may be due within a rounding
         _store_row(plan, seen, inputs, lanes.state, lanes, row, own, is_saved, lanes.clock.t)
         _request(job.serve, ws.COPY_ROW, inputs, counter, jobs)
@@ -260,7 +260,7 @@ def integrate_lanes(plan, inputs, counter, jobs):
             for i in range(jumps.shape[1]):
                 stop = steps.sooner(lanes, stop, jumps[0, i])
             trial = steps.next_trial(plan, body, lanes, stop, active)
-            seen = with_signals(plan, body, lanes.state, lanes.held)
+            seen = with_signals(plan, body, lanes.state, lanes.control)
             made = steps.attempted(plan, seen, lanes, trial, limits)
             accepted, failed, lanes = steps.decided(plan, body, lanes, made, trial, limits, active)
             if any_of(failed):
@@ -273,12 +273,12 @@ def integrate_lanes(plan, inputs, counter, jobs):
                 )  # fmt: skip
             take_next(plan, body, accepted)
             lanes = steps.moved_to(lanes, moved, accepted)
-            fresh = taken(failed, failed, accepted)
+            fresh = select(failed, failed, accepted)
         ticks = steps.to_tick(plan, body, lanes, fresh, termination)
         if any_of(ticks):
             lanes = steps.ticked(plan, body, lanes, ticks, rows, job.seed)
         termination = steps.termination_now(lanes, span, limits, fresh, termination)
-        if steps.looks_now(plan, lanes, span, fresh, termination):
+        if steps.measures_now(plan, lanes, span, fresh, termination):
             lanes = _measure(plan, body, inputs, counter, jobs, lanes, span, fresh, termination)
             termination = steps.termination_now(lanes, span, limits, fresh, termination)
         if steps.is_to_tidy(lanes, fresh, termination):

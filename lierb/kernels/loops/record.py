@@ -46,7 +46,7 @@ from lierb.kernels.systems.observables import (
 )
 from lierb.kernels.systems.one_body import LARGEST
 from lierb.kernels.systems.plan import AnyPlan, MechanismPlan
-from lierb.kernels.systems.signals import held_fields, lane_end, signals_width
+from lierb.kernels.systems.signals import controller_fields, lane_end, signals_width
 from lierb.kernels.systems.state import NON_FINITE, OK, RAISED, State
 from lierb.kernels.systems.system_of import in_memory, system_of
 from lierb.kernels.systems.tree_table import STATE_ROWS, table_of
@@ -86,7 +86,7 @@ def carried_columns(plan: AnyPlan) -> Columns:
     if not plan.has_lane_clocks:
         return Columns(*columns)
     clock = Field("clock", (len(LaneClock._fields),))
-    return Columns(*columns, clock, *held_fields(plan))
+    return Columns(*columns, clock, *controller_fields(plan))
 
 
 def carried_rows(plan: AnyPlan) -> int:

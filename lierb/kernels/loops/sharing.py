@@ -30,12 +30,12 @@ def pack(job, inputs, first, is_new):
 
     is_new : True if `inputs` does not yet have the numbers that all trajectories share.
     """
-    places, varying = integers_at(job.places), integers_at(job.varying)
+    addresses, varying = integers_at(job.addresses), integers_at(job.varying)
     begin, last = job.first + first, job.stop - job.first - first - 1
     for i in range(inputs.shape[0] if is_new else varying.shape[1]):
         c = i if is_new else varying[0, i]
-        stride = places[c, 1]
-        address = places[c, 0] + stride * begin
+        stride = addresses[c, 1]
+        address = addresses[c, 0] + stride * begin
         for lane in range(inputs.shape[1]):
             inputs[c, lane] = number_at(address)
             address += stride if lane < last else 0

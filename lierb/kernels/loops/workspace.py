@@ -160,7 +160,7 @@ def take_next(rows, request, job, inputs, counter, lanes):
     Select the lanes that have a new trajectory. Return whether any lane is active.
     """
     is_new = request[0, IS_NEW] > 0.0
-    places, varying = integers_at(job.places), integers_at(job.varying)
+    addresses, varying = integers_at(job.addresses), integers_at(job.varying)
     save_at, noise_indices = numbers_at(job.save_at), numbers_at(job.noise_indices)
     any_active = False
     for lane in range(lanes):
@@ -180,7 +180,7 @@ def take_next(rows, request, job, inputs, counter, lanes):
                 trajectory = min(taken, job.stop - 1)  # an idle lane computes with valid numbers
                 for i in range(inputs.shape[0] if is_new else varying.shape[1]):
                     c = i if is_new else varying[0, i]
-                    inputs[c, lane] = number_at(places[c, 0] + places[c, 1] * trajectory)
+                    inputs[c, lane] = number_at(addresses[c, 0] + addresses[c, 1] * trajectory)
                 rows[TRAJECTORY, lane] = trajectory
                 rows[NOISE_INDEX, lane] = noise_indices[0, trajectory]
                 rows[NEXT_ROW, lane] = 0.0

@@ -354,7 +354,7 @@ class Passive(Element):
         frame = UserFrame(*placed[0])
         return x.time, *frame.pose(x.q, x.place), *frame.twist(x.omega, x.v)
 
-    def asked(self, placed: Any, x: Motion, noise: Noise | None = None) -> Any:
+    def evaluate(self, placed: Any, x: Motion, noise: Noise | None = None) -> Any:
         """Evaluate the function at a motion."""
         arguments = self.arguments(placed, x)
         return self.function(placed[1], *arguments, signals=x.signals, noise=noise)
@@ -367,7 +367,7 @@ class UserObservable(Passive):
     function: Function
 
     def value(self, placed: Any, x: Motion) -> Any:
-        return self.asked(placed, x)
+        return self.evaluate(placed, x)
 
 
 @dataclass(frozen=True)
@@ -377,7 +377,7 @@ class UserEvent(Passive):
     function: Function
 
     def value(self, placed: Any, x: Motion) -> Any:
-        return self.asked(placed, x)
+        return self.evaluate(placed, x)
 
     def value_nearby(self, placed: Any, x: Motion) -> Any:
         """Value at a motion whose numbers are each off by some roundings of its vector."""
@@ -438,7 +438,7 @@ class UserStates(_Starting):
 
     def rates(self, placed: Any, x: Motion) -> Vec:
         """Derivatives of all states, flattened."""
-        rates: Vec = self.asked(placed, x)
+        rates: Vec = self.evaluate(placed, x)
         return rates
 
 
@@ -472,7 +472,7 @@ class UserController(_Starting):
 
     def called(self, placed: Any, x: Motion, noise: Noise) -> tuple[Vec, Vec]:
         """Outputs and memory, each flattened.   x.signals.memory : memory of this controller."""
-        result = self.asked(placed, x, noise)
+        result = self.evaluate(placed, x, noise)
         return result if self.memory else (result, ())
 
 

@@ -79,13 +79,13 @@ def solve(
     velocity : (ω, velocity of P), which scales the contradiction of dropped rows.
     turning : α without the rows of the Schur complement, if it is known.
     """
-    asked = dict(zip(rows, eta, strict=True))
+    eta_of = dict(zip(rows, eta, strict=True))
     held, fixed, others = kinds_of(rows)
     support = Support(body, q, tuple(held), tuple(fixed))
-    moves = tuple(asked[held[i]] for i in held)
+    moves = tuple(eta_of[held[i]] for i in held)
     if support.is_point:
-        moves = mat_t_vec(q, tuple(asked[held[i]] for i in range(3)))
-    turns = tuple(asked[fixed[i]] if i in fixed else ZERO for i in range(3))
+        moves = mat_t_vec(q, tuple(eta_of[held[i]] for i in range(3)))
+    turns = tuple(eta_of[fixed[i]] if i in fixed else ZERO for i in range(3))
 
     if turning is None:
         turning = support.turning(load, turns, moves)
@@ -96,7 +96,7 @@ def solve(
     arms = [jacobian(r) for r in others]
     if others:
         excess = [
-            dot(arm, turning + moving) - asked[r] for r, arm in zip(others, arms, strict=True)
+            dot(arm, turning + moving) - eta_of[r] for r, arm in zip(others, arms, strict=True)
         ]
         scales = _Scales(body, support, load, velocity)
         sizes, responses, singular, dropped = _complement(support, scales, arms, excess)
@@ -195,49 +195,51 @@ class _Scales:
 def multipliers_of(
     schur: list[list[Any]],
     excess: list[Any],
-    sizes: list[Any],
-    brought: Callable[[int], Any],
-    before: Any = ZERO,
-    openness: Callable[[], Any] | None = None,
+    mobilities: list[Any],
+    bound: Callable[[int], Any],
+    initial_count: Any = ZERO,
+    violation: Callable[[], Any] | None = None,
 ) -> tuple[tuple[Any, ...], Any, Any]:
     """Solve S λ = J V̇ − η. Return λ, 1 where rows contradict each other, and the number of
     dependent rows, NaN where S is NaN.
 
-    schur : lower triangle of S.   excess : J V̇ − η.   sizes : diagonal of S if each row were the
-    only one.   brought : bound on the acceleration of row i that load and motion can cause.
-    before : number of dependent rows at the start.   openness : δ, violation of the rows by pose
-    and velocity, in units of the mechanism's length and speed.
+    schur : lower triangle of S.   excess : J V̇ − η.
+    mobilities : diagonal of S if each row were the only one.
+    bound : bound on the acceleration along row i that load and motion can cause.
+    initial_count : number of dependent rows at the start.
+    violation : δ, violation of the rows by pose and velocity, relative to the mechanism's length
+    and speed.
 
     If the rows are violated, a dependent row has a pivot of δ²/p and a right-hand side of δ/√p, p
     the least pivot that is kept. With a tolerance of δ the first is within δ, the second within √δ.
     """
-    first = _Elimination(schur, excess, sizes, PIVOT_TOLERANCE)
+    first = _Elimination(schur, excess, mobilities, PIVOT_TOLERANCE)
 
-    def chosen() -> tuple[tuple[Any, ...], Any, Any]:
-        contradicts = first.contradicts(brought, CONSISTENCY_TOLERANCE)
-        found = tuple(first.multipliers), contradicts, first.count
-        is_open = (before - first.count > 0.5) | (contradicts > 0.5)
+    def checked() -> tuple[tuple[Any, ...], Any, Any]:
+        contradicts = first.contradicts(bound, CONSISTENCY_TOLERANCE)
+        solution = tuple(first.multipliers), contradicts, first.count
+        is_open = (initial_count - first.count > 0.5) | (contradicts > 0.5)
 
-        def again() -> tuple[tuple[Any, ...], Any, Any]:
-            assert openness is not None
-            off = maximum(OPEN_PIVOT * openness(), PIVOT_TOLERANCE)
-            second = _Elimination(schur, excess, sizes, maximum(off, ROUNDED_PIVOT))
-            contradicts = second.contradicts(brought, sqrt(off))
-            return where(is_open, (tuple(second.multipliers), contradicts, second.count), found)
+        def repeated() -> tuple[tuple[Any, ...], Any, Any]:
+            assert violation is not None
+            off = maximum(OPEN_PIVOT * violation(), PIVOT_TOLERANCE)
+            second = _Elimination(schur, excess, mobilities, maximum(off, ROUNDED_PIVOT))
+            contradicts = second.contradicts(bound, sqrt(off))
+            return where(is_open, (tuple(second.multipliers), contradicts, second.count), solution)
 
-        if openness is None or is_zero(before):
-            return found
-        return branch(any_lanes(is_open), again, lambda: found, likely=False)
+        if violation is None or is_zero(initial_count):
+            return solution
+        return branch(any_lanes(is_open), repeated, lambda: solution, likely=False)
 
     multipliers = tuple(first.multipliers)
     if taken_for_granted(first.count <= 0.5):
         return multipliers, ZERO, first.count
-    some = first.count if is_zero(before) else maximum(first.count, before)
+    some = first.count if is_zero(initial_count) else maximum(first.count, initial_count)
     independent = multipliers, 0.0, first.count
-    found: tuple[tuple[Any, ...], Any, Any] = branch(
-        any_lanes(some > 0.5), chosen, lambda: independent, likely=False
+    solution: tuple[tuple[Any, ...], Any, Any] = branch(
+        any_lanes(some > 0.5), checked, lambda: independent, likely=False
     )
-    return found
+    return solution
 
 
 class _Elimination:
@@ -247,7 +249,7 @@ class _Elimination:
     """
 
     def __init__(
-        self, schur: list[list[Any]], excess: list[Any], sizes: list[Any], tolerance: Any
+        self, schur: list[list[Any]], excess: list[Any], mobilities: list[Any], tolerance: Any
     ) -> None:
         m = len(schur)
         self.lower: list[list[Any]] = []  # L
@@ -263,9 +265,10 @@ class _Elimination:
                 li.append(si[j] * pivots_inverse[j])
             pivot = less(schur[i][i], li, si)
             self.y.append(less(excess[i], li, self.y))
-            goes = pivot <= tolerance * (schur[i][i] + sizes[i])  # false for NaN: its row is kept
-            pivots_inverse.append(where(goes, 0.0, 1.0) / where(goes, 1.0, pivot))
-            self.dropped.append(where(goes, 1.0, 0.0 * pivot))
+            # False for NaN, whose row is kept.
+            is_dependent = pivot <= tolerance * (schur[i][i] + mobilities[i])
+            pivots_inverse.append(where(is_dependent, 0.0, 1.0) / where(is_dependent, 1.0, pivot))
+            self.dropped.append(where(is_dependent, 1.0, 0.0 * pivot))
             self.lower.append(li)
             scaled.append(si)
         self.multipliers: list[Any] = [self.y[i] * pivots_inverse[i] for i in range(m)]
@@ -276,16 +279,16 @@ class _Elimination:
                 )
         self.count = sum(self.dropped, start=ZERO)
 
-    def contradicts(self, brought: Callable[[int], Any], tolerance: Any) -> Any:
-        """1 where a row that is left out contradicts the others, else 0."""
-        found: Any = 0.0
+    def contradicts(self, bound: Callable[[int], Any], tolerance: Any) -> Any:
+        """Return 1 where a row that is left out contradicts the others, else 0."""
+        result: Any = 0.0
         for i, mark in enumerate(self.dropped):
-            size = brought(i)
+            size = bound(i)
             for lij, yj in zip(self.lower[i], self.y, strict=False):
                 size = size + absolute(lij * yj)
-            contradicts = (mark > 0.5) & (absolute(self.y[i]) > tolerance * size)
-            found = where(contradicts, 1.0, found)
-        return found
+            is_contradiction = (mark > 0.5) & (absolute(self.y[i]) > tolerance * size)
+            result = where(is_contradiction, 1.0, result)
+        return result
 
 
 def is_other_rank(dropped: Any, before: Any) -> Any:

@@ -307,7 +307,7 @@ class TreeMotion:
         """A node's frame in the ground frame."""
         return se3.compose(self.body.nodes[self.root(i)].hang, self.place(i))
 
-    def hung(self, i: int) -> Pose:
+    def joint_pose(self, i: int) -> Pose:
         """Return D of a node."""
         node, hang = self.nodes[i], self.body.nodes[i].hang
         if node.is_reduced or node.parent == GROUND:
@@ -318,7 +318,7 @@ class TreeMotion:
         i, other = connection.node, connection.other
         if connection.hangs:
             fall = neg(self.body.nodes[i].gravity) if other == GROUND else None
-            x = self.kinematics(self.hung(i), self.relative[i])
+            x = self.kinematics(self.joint_pose(i), self.relative[i])
             return Relative(x, self.steps[i], self.bias(i), fall)
         fork = self._fork(i, other)
         is_one_tree = other != GROUND and self.root(i) == self.root(other)
@@ -381,7 +381,7 @@ class TreeMotion:
         turns = [UNIT[k] + ZERO3 for k in range(3) if k not in fixed]
         if not held:
             return [*turns, *(ZERO3 + UNIT[j] for j in range(3))]
-        q = self.hung(i)[0] if len(held) < 3 else IDENTITY
+        q = self.joint_pose(i)[0] if len(held) < 3 else IDENTITY
         return [*turns, *(ZERO3 + row(q, j) for j in range(3) if j not in held)]
 
     def held(self, i: int, v: Vec) -> Vec:
@@ -391,7 +391,7 @@ class TreeMotion:
             return ZERO3
         if len(held) == 3:
             return v
-        total, q = ZERO3, self.hung(i)[0]
+        total, q = ZERO3, self.joint_pose(i)[0]
         for j in held:
             total = axpy(dot(row(q, j), v), row(q, j), total)
         return total

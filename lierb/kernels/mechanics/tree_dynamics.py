@@ -137,8 +137,8 @@ class JointSpace:
             momenta = {j: constants[i].rigid.momentum(c) for j, c in columns.items()}
             for j, k in product(momenta, momenta):
                 if k <= j:
-                    found = dot(columns[k], momenta[j])
-                    entries[j, k] = found + entries[j, k] if (j, k) in entries else found
+                    entry = dot(columns[k], momenta[j])
+                    entries[j, k] = entry + entries[j, k] if (j, k) in entries else entry
         for i, own in enumerate(motion.own):
             stiff = stiffness_of(rows, i, motion.directions[i])
             for (j, ks), (k, x) in product(zip(own, stiff, strict=True), enumerate(own)):
@@ -284,11 +284,11 @@ def solved(
     loads: dict[int, Vec],
     biases: Sequence[Vec] | None = None,
     fall: dict[int, Vec] | None = None,
-    openness: Callable[[], Any] | None = None,
+    violation: Callable[[], Any] | None = None,
 ) -> Solved:
     """Solve for accelerations under loads and rows; see `ArticulatedBodies.respond`.
 
-    openness : see `saddle.multipliers_of`.
+    violation : see `saddle.multipliers_of`.
     """
     if not rows:
         return Solved(bodies.respond(loads, biases, fall), (), ZERO, ZERO, {})
@@ -318,7 +318,7 @@ def solved(
         alone,
         lambda i: scales.acceleration(rows[i]),
         bodies.motion.body.dropped,
-        openness,
+        violation,
     )
     for size, each in zip(multipliers, rows, strict=True):
         _add_loads(total, each.loads(-size))

@@ -86,13 +86,13 @@ class LaneClock(NamedTuple):
 class Trial(NamedTuple):
     """A step to be tried: from `start` to `end`, of length h, s.
 
-    lands : 1 where the step is cut short.
+    is_cut : 1 where the step is cut short.
     """
 
     start: Any
     h: Any
     end: Any
-    lands: Any
+    is_cut: Any
 
 
 class Verdict(NamedTuple):
@@ -159,21 +159,21 @@ def trial_of(plan: AnyPlan, clock: LaneClock, stop: Any, active: Any) -> Trial:
     A fixed step that ends exactly at `stop` is not cut, and the step count goes on.
     """
     left = stop - clock.t
-    lands = clock.h * (1.0 + NEARLY) >= left
+    reaches = clock.h * (1.0 + NEARLY) >= left
     if plan.embedded is None:
         reached = clock.anchor + clock.h * (clock.counted + 1.0)
-        end = where(lands, stop, reached)
+        end = where(reaches, stop, reached)
         is_whole = absolute(left - clock.h) <= rounding_at(absolute(stop) + clock.h)
-        lands = lands & ~is_whole
-        h = where(lands, left, clock.h)
+        reaches = reaches & ~is_whole
+        h = where(reaches, left, clock.h)
     else:  # leave no tiny remainder for the last step
         half = clock.t + 0.5 * left
         ahead = where(clock.h > 0.5 * left, half, clock.t + clock.h)
-        end = where(lands, stop, ahead)
+        end = where(reaches, stop, ahead)
         h = end - clock.t
     going = active > 0.5
     return Trial(
-        clock.t, where(going, h, 0.0), where(going, end, clock.t), where(lands, 1.0, 0.0 * left)
+        clock.t, where(going, h, 0.0), where(going, end, clock.t), where(reaches, 1.0, 0.0 * left)
     )
 
 
@@ -248,7 +248,7 @@ def _fixed(
     accepted = running & fine & moves & ~raised
     failed = where(running & ~accepted, where(moves, worse, float(DT_MIN)), float(OK))
     counted = clock._replace(steps=where(accepted, steps + 1.0, steps))
-    cut = accepted & (trial.lands > 0.5)
+    cut = accepted & (trial.is_cut > 0.5)
     moved = counted._replace(
         t=where(accepted, trial.end, clock.t),
         anchor=where(cut, trial.end, clock.anchor),

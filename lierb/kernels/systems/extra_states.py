@@ -13,7 +13,7 @@ from lierb.kernels.systems.signals import controllers_of, states_of
 from lierb.kernels.systems.state import State
 
 
-class Held(NamedTuple):
+class Control(NamedTuple):
     """Outputs and memory of all controllers between ticks, concatenated.
 
     ticks : number of each controller's next tick; ticks are at multiples of its period.
@@ -24,11 +24,11 @@ class Held(NamedTuple):
     ticks: Vec
 
 
-def with_signals(plan: AnyPlan, body: Any, state: State, held: Held) -> Any:
+def with_signals(plan: AnyPlan, body: Any, state: State, control: Control) -> Any:
     """Return the body with extra states, outputs and memory, for users' functions."""
     if not (states_of(plan) or controllers_of(plan)):
         return body
-    return body._replace(signals=Signals(state.states, held.controls, held.memory))
+    return body._replace(signals=Signals(state.states, control.controls, control.memory))
 
 
 def in_states(plan: AnyPlan, numbers: Vec) -> Iterator[Vec]:

@@ -89,11 +89,11 @@ class SaddlePoint(OneBody):
             return mat_vec(fixed, step.rotate(a))
 
         at = chart[0], step.place(chart)  # its rotation is q
-        found = accelerate(plan, body, at, velocity, time, q, fall, to_ground)
-        singular = found.singular
+        solution = accelerate(plan, body, at, velocity, time, q, fall, to_ground)
+        singular = solution.singular
         if has_others(plan.rows):  # a joint of another rank is another joint
-            singular = where(is_other_rank(found.dropped, body.dropped), 1.0, singular)
-        return Rates(step.rate(velocity), found.rate, found.power, singular)
+            singular = where(is_other_rank(solution.dropped, body.dropped), 1.0, singular)
+        return Rates(step.rate(velocity), solution.rate, solution.power, singular)
 
 
 class Subgroup(OneBody):

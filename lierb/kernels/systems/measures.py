@@ -51,7 +51,7 @@ class Measure(NamedTuple):
 
     of : function that computes its value, or its square: the root is taken once, of the largest.
     keeps : "max", the largest magnitude, and "final", the value at the end.
-    asked_by : value of `record` that includes it in a history; None if it is always included.
+    recorded_by : value of `record` that includes it in a history; None if it is always included.
     """
 
     name: str
@@ -59,7 +59,7 @@ class Measure(NamedTuple):
     of: Callable[[Sample], Any]
     is_square: bool = False
     keeps: tuple[str, ...] = ()
-    asked_by: str | None = None
+    recorded_by: str | None = None
 
     def shown(self, value: Any) -> Any:
         """Return the value in the measure's unit."""
@@ -94,8 +94,8 @@ MEASURES = (
     ),
     # E(t) − E(0) − W(t), with the work W of forces without potential.
     Measure("energy_drift", "J", lambda s: s.energy - s.first_energy - s.work, keeps=("max",)),
-    Measure("energy", "J", lambda s: s.energy, asked_by="energy"),
-    Measure("work", "J", lambda s: s.work, keeps=("final",), asked_by="energy"),
+    Measure("energy", "J", lambda s: s.energy, recorded_by="energy"),
+    Measure("work", "J", lambda s: s.work, keeps=("final",), recorded_by="energy"),
     Measure(
         "orthogonality_error", "1", lambda s: orthogonality_squared(s.pose[0]),
         is_square=True, keeps=("max",),

@@ -49,7 +49,7 @@ class AnyPlan(Tag):
     elements : forces except gravity, constraints except the joints', and observables.
     exponentials : weights of a commutator-free method, for each stage, then for the end.
     clock : "steps", one clock for all lanes, or "lanes", a clock for each lane.
-    looks : whether states between steps are needed, for output and events.
+    interpolates : whether states between steps are needed, for output and events.
     jumps : whether elements may jump at given times, at which steps then end.
     """
 
@@ -64,7 +64,7 @@ class AnyPlan(Tag):
     clock: str = "steps"
     embedded: Embedded | None = None
     extension: Extension | None = None
-    looks: bool = False
+    interpolates: bool = False
     jumps: bool = False
 
     if TYPE_CHECKING:

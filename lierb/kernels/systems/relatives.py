@@ -51,7 +51,7 @@ class Relatives:
             self._residuals[number] = self.residuals(number, self.connections[number].rows)
         return self._residuals[number].get(row, ZERO)
 
-    def openness(self) -> Any:
+    def violation(self) -> Any:
         """Sum of the squares of all rows' residuals, with lengths relative to the mechanism's."""
         inverse = 1.0 / length_of(self.motion.body)
         total: Any = ZERO

@@ -53,7 +53,7 @@ def signals_width(plan: AnyPlan) -> int:
 
 
 @lru_cache(64)
-def held_fields(plan: AnyPlan) -> tuple[Field, ...]:
+def controller_fields(plan: AnyPlan) -> tuple[Field, ...]:
     """Fields of controllers between ticks: outputs, memory, number of the next tick."""
     return (
         Field("controls", (size_of(outputs_of(plan)),)),
@@ -70,7 +70,7 @@ def lane_end(plan: AnyPlan) -> Columns:
     rank = Field("dropped", (int(plan.keeps_rank),))
     if not plan.has_lane_clocks:
         return Columns(rank)
-    return Columns(rank, *LANE_END.fields, *held_fields(plan))
+    return Columns(rank, *LANE_END.fields, *controller_fields(plan))
 
 
 @lru_cache(64)

@@ -44,16 +44,16 @@ class Projection(TreeAccelerations):
         if self.plan.stabilisation.kind != "project":
             return Stabilised(state)
         length = length_of(body)
-        nearer = self._closing(body, state.chart, time)
+        nearer = self._newton_step(body, state.chart, time)
         first = self.moved(state.chart, scale(0.5, nearer))
-        off, way = self._openness(body, first, time), size_of(length, nearer)
+        off, way = self._violation(body, first, time), size_of(length, nearer)
 
         def again() -> Any:
-            further = self._closing(body, first, time)
+            further = self._newton_step(body, first, time)
             second = self.moved(first, scale(0.5, further)), add(nearer, further)
             is_open = off > CLOSED * CLOSED
             second, x = where(is_open, second, (first, nearer))
-            left, opened = (self._openness(body, chart, time) for chart in (second, state.chart))
+            left, opened = (self._violation(body, chart, time) for chart in (second, state.chart))
             mark = where((left > OPEN * OPEN) & (left >= 0.25 * opened), 1.0, 0.0)
             return second, x, where(is_open, way + size_of(length, further), way), mark
 
@@ -69,11 +69,11 @@ class Projection(TreeAccelerations):
         kept = state._replace(chart=chart, v_or_mu=add(state.v_or_mu, change))
         return Stabilised(kept, mark, x, change)
 
-    def _openness(self, body: TreeConstants, chart: Charts, time: Any) -> Any:
-        """Openness of the rows at a pose; see `Relatives.openness`."""
-        return self.relatives(body, self.motion_at(body, chart, None, time)).openness()
+    def _violation(self, body: TreeConstants, chart: Charts, time: Any) -> Any:
+        """Violation of the rows at a pose; see `Relatives.violation`."""
+        return self.relatives(body, self.motion_at(body, chart, None, time)).violation()
 
-    def _closing(self, body: TreeConstants, chart: Charts, time: Any) -> Vec:
+    def _newton_step(self, body: TreeConstants, chart: Charts, time: Any) -> Vec:
         """Newton step onto all rows, in the algebra."""
         motion = self.motion_at(body, chart, None, time)
         relatives = self.relatives(body, motion)
@@ -100,8 +100,8 @@ class Projection(TreeAccelerations):
     ) -> Vec:
         """Smallest motion, in the kinetic metric, with the components `wanted` along the rows."""
         rows = [each._replace(fall=None) for each in self.equations(relatives, wanted)]
-        openness = partial(self.off_rows, motion)
-        solution = solved(bodies_of(motion, rows), rows, {}, biases, openness=openness)
+        violation = partial(self.violation_of, motion)
+        solution = solved(bodies_of(motion, rows), rows, {}, biases, violation=violation)
         moved: list[Any] = []
         for i, node in enumerate(self.plan.tree):
             twist = solution.response.moved[i]

@@ -67,14 +67,14 @@ class TreeAccelerations(TreeCharts):
         steps = self.increments(x)
         poses = [step.pose(each) for step, each in zip(steps, chart, strict=True)]
         motion = TreeMotion(self.plan.tree, body, poses, sixes(velocity), time)
-        found = self.accelerate(body, motion)
-        singular = found.singular
+        solution = self.accelerate(body, motion)
+        singular = solution.singular
         if self.rows:  # a mechanism of another rank is another mechanism
-            singular = where(is_other_rank(found.dropped, body.dropped), 1.0, singular)
+            singular = where(is_other_rank(solution.dropped, body.dropped), 1.0, singular)
         x_rates: list[Any] = []
         for step, v in zip(steps, sixes(velocity), strict=True):
             x_rates += step.rate(v)
-        return Rates(tuple(x_rates), found.rates, found.power, singular)
+        return Rates(tuple(x_rates), solution.rates, solution.power, singular)
 
     def accelerate(
         self, body: TreeConstants, motion: TreeMotion, forces: bool = True
@@ -93,8 +93,8 @@ class TreeAccelerations(TreeCharts):
         biases = [add(motion.bias(i), each) for i, each in enumerate(damped)]
         rows = self.equations(relatives, wanted)
         bodies = bodies_of(motion, rows)
-        openness = partial(self.off_rows, motion)
-        solution = solved(bodies, rows, loads, biases, fall, openness)
+        violation = partial(self.violation_of, motion)
+        solution = solved(bodies, rows, loads, biases, fall, violation)
         for (number, r), multiplier in zip(self.rows, solution.multipliers, strict=True):
             rate = r.prescribed_rate(relatives[number].x, body.ends[number])
             power = fma(-multiplier, rate, power)
@@ -103,11 +103,11 @@ class TreeAccelerations(TreeCharts):
             rates, power, solution.singular, solution.dropped, bodies, solution, relatives
         )
 
-    def off_rows(self, motion: TreeMotion) -> Any:
+    def violation_of(self, motion: TreeMotion) -> Any:
         """Residual δ of pose and velocity for `lierb.kernels.mechanics.saddle.multipliers_of`."""
         again = motion.again()  # values computed in a branch are not valid outside it
         relatives = self.relatives(motion.body, again)
-        length, pose = length_of(motion.body), relatives.openness()
+        length, pose = length_of(motion.body), relatives.violation()
         rates: Any = ZERO
         for number, r in self.rows:
             x, ends = relatives[number].x, motion.body.ends[number]
@@ -171,7 +171,7 @@ class TreeAccelerations(TreeCharts):
         """Residuals of the rows on whose null space node i is solved, as a motion (6,)."""
         held, fixed, _ = kinds_of(self.plan.tree[i].rows)
         own = (*held.values(), *fixed.values())
-        x = motion.kinematics(motion.hung(i), ZERO6)
+        x = motion.kinematics(motion.joint_pose(i), ZERO6)
         values = dict(zip(own, residuals(own, x, Ends(HERE, HERE)), strict=True))
         turn = tuple(values[fixed[k]] if k in fixed else ZERO for k in range(3))
         d = tuple(x.d[j] if j in held else ZERO for j in range(3))

@@ -115,15 +115,15 @@ class TreeMeasures(TreeAccelerations):
 
         The wrench includes that of a motor that prescribes the speed of the joint.
         """
-        found = self.accelerate(body, self.motion(body, state, time))
-        solution = dict(zip(self.rows, found.solved.multipliers, strict=True))
+        acceleration = self.accelerate(body, self.motion(body, state, time))
+        solution = dict(zip(self.rows, acceleration.solved.multipliers, strict=True))
         multipliers: list[Any] = []
         wrenches = []
         for number, joint in enumerate(self.plan.joints):
             total = ZERO6
-            x, ends = found.relatives[number].x, body.ends[number]
+            x, ends = acceleration.relatives[number].x, body.ends[number]
             if number < self.plan.links:
-                total = found.solved.transmitted(found.bodies, joint.node)
+                total = acceleration.solved.transmitted(acceleration.bodies, joint.node)
             kept = tuple(r for r in joint.rows if (number, r) not in solution)
             own = multipliers_of_wrench(kept, x, ends, total)
             for r in joint.rows:

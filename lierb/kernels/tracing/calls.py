@@ -11,7 +11,7 @@ import numpy as np
 from llvmlite import ir
 from numba import types
 
-from lierb.compiler.code import OPTIONS, undisturbed
+from lierb.compiler.code import OPTIONS, run_uninterrupted
 from lierb.compiler.entries import raise_again
 from lierb.compiler.internals import INT64, call_linked, cgutils, link, populate_array
 from lierb.kernels.numbers.arithmetic import branch, where
@@ -48,17 +48,17 @@ def call_compiled(
         inward, outward = code.memory(builder)
         code.put(builder, packs, inward)
         code.call_each(builder, inward, outward, marks)
-        return code.taken(trace, outward)
+        return code.results(trace, outward)
 
     def some_called() -> tuple[Lane, ...]:
         inward, outward = code.memory(builder)
         code.put(builder, packs, inward)
         builder.call(code.apart(builder.module, marks.lanes), [inward, outward, marks.memory])
-        return code.taken(trace, outward)
+        return code.results(trace, outward)
 
-    found = branch(marks.are_clear, all_called, some_called)
+    results = branch(marks.are_clear, all_called, some_called)
     fine = marks.pack == float(CLEAR)
-    return [where(fine, x, math.nan) for x in found]
+    return [where(fine, x, math.nan) for x in results]
 
 
 class _Lanes:
@@ -97,7 +97,7 @@ class _Lanes:
         for n, value in enumerate(packs):
             builder.store(value, self._whole(builder, inward, n), align=8)
 
-    def taken(self, trace: Trace, outward: ir.Value) -> tuple[Lane, ...]:
+    def results(self, trace: Trace, outward: ir.Value) -> tuple[Lane, ...]:
         places = (self._whole(trace.builder, outward, n) for n in range(self.count))
         return tuple(Lane(trace, trace.builder.load(place, align=8)) for place in places)
 
@@ -123,13 +123,13 @@ class _Lanes:
                     _argument(self.context, builder, ty, sample, cells)
                     for ty, sample in zip(self.types_of, self.samples, strict=True)
                 ]
-                status, found = call_linked(self.context, builder, self.compiled, arguments)
+                status, results = call_linked(self.context, builder, self.compiled, arguments)
                 with builder.if_then(status.is_error, likely=False):
                     address = builder.ptrtoint(status.excinfoptr, INT64)
                     known = builder.select(status.is_user_exc, address, INT64(STOPPED))
                     marks.put(lane, builder.uitofp(known, DOUBLE))
                 for n in range(self.count):
-                    number = builder.extract_value(found, n)
+                    number = builder.extract_value(results, n)
                     builder.store(number, _place(builder, outward, n, loop.index))
 
     def apart(self, module: ir.Module, lanes: int) -> ir.Function:
@@ -140,8 +140,8 @@ class _Lanes:
         """
         name = f"{self.compiled.fndesc.mangled_name}.{self.width}.{lanes}.clear"
         if name in module.globals:
-            found: ir.Function = module.globals[name]
-            return found
+            known: ir.Function = module.globals[name]
+            return known
         marked = ir.ArrayType(DOUBLE, lanes)
         kinds = (self._packs(self.inputs), self._packs(self.count), marked)
         kind = ir.FunctionType(ir.VoidType(), [ty.as_pointer() for ty in kinds])
@@ -187,9 +187,9 @@ class Marks:
         if not hasattr(function, "lierb_marks"):
             memory = cgutils.alloca_once(trace.builder, ir.ArrayType(DOUBLE, lanes))  # zeroed
             function.lierb_marks = cls(trace, lanes, memory)
-        found: Marks = function.lierb_marks
-        found.trace = trace
-        return found
+        marks: Marks = function.lierb_marks
+        marks.trace = trace
+        return marks
 
     @property
     def builder(self) -> ir.IRBuilder:
@@ -270,7 +270,7 @@ def exception_of(mark: int) -> Exception:
         return StopIteration()
     if mark in _Python.exceptions:
         return _Python.exceptions.pop(mark)
-    undisturbed(_raise.compile, (types.int64,))
+    run_uninterrupted(_raise.compile, (types.int64,))
     try:
         _raise(mark)
     except Exception as error:

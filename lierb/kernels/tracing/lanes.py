@@ -219,8 +219,8 @@ class Lane(Traced):
         trace = trace_of_any(numbers)
         values = same_type(trace, *numbers)
         function = trace.function_of(formula, [v.type for v in values], count)
-        found = trace.builder.call(function, values)
-        return tuple(Lane(trace, trace.builder.extract_value(found, k)) for k in range(count))
+        results = trace.builder.call(function, values)
+        return tuple(Lane(trace, trace.builder.extract_value(results, k)) for k in range(count))
 
     @staticmethod
     def repeat(start: Any, turn: Turn, most: int, like: Lane) -> tuple[Any, Mask, Lane]:
@@ -367,8 +367,8 @@ class Predicate(Traced):
 
 
 def _widest_type(numbers: Sequence[Any]) -> ir.Type:
-    found = [x.value.type for x in numbers if isinstance(x, Lane)] or [DOUBLE]
-    return next((t for t in found if isinstance(t, ir.VectorType)), found[0])
+    kinds = [x.value.type for x in numbers if isinstance(x, Lane)] or [DOUBLE]
+    return next((t for t in kinds if isinstance(t, ir.VectorType)), kinds[0])
 
 
 def _at_end_of(block: ir.Block, x: Any, ty: ir.Type) -> ir.Value:

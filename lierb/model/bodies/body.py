@@ -9,8 +9,16 @@ from numpy.typing import ArrayLike
 
 from lierb.errors import InertiaError, body_label, two_readings
 from lierb.kernels.mechanics.newton_euler import unit_inertia
-from lierb.support.arrays import Array, Which, as_numbers, assembled, batch_size, components, taken
-from lierb.support.shown import Lines, Shown, quantity
+from lierb.support.arrays import (
+    Array,
+    Which,
+    as_numbers,
+    assembled,
+    batch_size,
+    components,
+    items_at,
+)
+from lierb.support.representations import Lines, Represented, quantity
 
 SYMMETRY_TOLERANCE = 1e-12  # relative to the largest entry
 TRIANGLE_TOLERANCE = 1e-12  # relative to the largest principal moment
@@ -18,7 +26,7 @@ MOMENTS_OF_EACH = "inertia[:, :, None] * np.eye(3)"
 
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
-class Body(Shown):
+class Body(Represented):
     """A rigid body, or a batch of them.
 
     Parameters
@@ -71,12 +79,12 @@ class Body(Shown):
 
     def of(self, which: Which) -> Body:
         """Return one body of the batch, or part of the batch."""
-        inertia = taken(self.inertia, which, 2)
+        inertia = items_at(self.inertia, which, 2)
         if inertia.ndim == 2 and not isinstance(which, int):
             inertia = inertia[None]  # without it, a part of three bodies would be ambiguous
-        return Body(taken(self.mass, which), inertia, taken(self.com, which, 1))
+        return Body(items_at(self.mass, which), inertia, items_at(self.com, which, 1))
 
-    def _shown(self) -> tuple[str, Lines]:
+    def _representation(self) -> tuple[str, Lines]:
         count = batch_size(mass=self.mass, inertia=(self.inertia, 2), com=(self.com, 1)) or 1
         rows = [("mass", quantity(self.mass, "kg")), ("inertia", _shown_inertia(self.inertia))]
         if np.any(self.com != 0.0):

@@ -98,18 +98,18 @@ def _in_order(
 
     The order is that of MuJoCo's reader: depth first, children in the order of their joints.
     """
-    held: dict[str, str] = {}
+    joint_of: dict[str, str] = {}
     children: dict[str, list[str]] = {link: [] for link in links}
     for name, joint in joints.items():
         parent, child = (_end(joint, end, name, links) for end in ("parent", "child"))
-        if child in held:
+        if child in joint_of:
             raise ArgumentError(
-                f"link {child} is the child of two joints, {held[child]} and {name}; expected "
+                f"link {child} is the child of two joints, {joint_of[child]} and {name}; expected "
                 "one, since the links of URDF are a tree"
             )
-        held[child] = name
+        joint_of[child] = name
         children[parent].append(child)
-    roots = [link for link in links if link not in held]
+    roots = [link for link in links if link not in joint_of]
     if len(roots) > 1:
         raise ArgumentError(
             f"the links {', '.join(roots)} are children of no joint; expected one such link, the "
@@ -124,7 +124,7 @@ def _in_order(
         raise ArgumentError(
             f"the links {', '.join(rest)} do not hang on a root: joints go round in a circle there"
         )
-    return ((link, held.get(link)) for link in order)
+    return ((link, joint_of.get(link)) for link in order)
 
 
 def _end(joint: Element, end: str, name: str, links: dict[str, Element]) -> str:

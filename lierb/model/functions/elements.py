@@ -15,7 +15,7 @@ from lierb.kernels.functions.shapes import Shapes
 from lierb.kernels.mechanics import elements as kinds
 from lierb.model.functions.decorated import Decorated
 from lierb.model.functions.tracing import runnable
-from lierb.support.arrays import Array, Which, as_numbers, batch_size, taken
+from lierb.support.arrays import Array, Which, as_numbers, batch_size, items_at
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,7 +91,7 @@ class Element:
     def of_body(self, which: Which) -> Self:
         """Element for one body of the batch, or for part of the batch."""
         shapes = self.kind.shapes
-        parameters = {n: taken(a, which, len(shapes[n])) for n, a in self.parameters.items()}
+        parameters = {n: items_at(a, which, len(shapes[n])) for n, a in self.parameters.items()}
         return replace(self, parameters=parameters)
 
     def batched(self) -> dict[str, tuple[Array, int]]:

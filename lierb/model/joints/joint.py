@@ -28,18 +28,18 @@ from lierb.support.arrays import (
     batch_size,
     components,
     finite,
+    items_at,
     pose_components,
     pose_matrix,
-    taken,
 )
-from lierb.support.shown import Lines, Shown, quantity
+from lierb.support.representations import Lines, Represented, quantity
 
 _quiet = np.errstate(all="ignore")  # overflow is detected in the result
 MOST_ROWS = 12  # twice the freedoms of a body: a joint may be stated twice, in two ways
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Joint(Shown):
+class Joint(Represented):
     """A joint between the ground and the body; made by the entries of `lierb.joints`.
 
     Attributes
@@ -89,13 +89,13 @@ class Joint(Shown):
         """
         return replace(
             self,
-            ground_frame=taken(self.ground_frame, which, 2),
-            body_frame=taken(self.body_frame, which, 2),
-            pitch=taken(self.pitch, which),
-            length=taken(self.length, which),
+            ground_frame=items_at(self.ground_frame, which, 2),
+            body_frame=items_at(self.body_frame, which, 2),
+            pitch=items_at(self.pitch, which),
+            length=items_at(self.length, which),
         )
 
-    def _shown(self) -> tuple[str, Lines]:
+    def _representation(self) -> tuple[str, Lines]:
         title = f"{self.name} joint{self.summary and f': {self.summary}'}"
         rows = [("rows", " ".join(map(str, self.rows)) or "none")]
         if self.subgroup:

@@ -11,14 +11,14 @@ from lierb.model.acting import require
 from lierb.model.bodies.body import Body
 from lierb.model.functions.decorated import MOST_NAME
 from lierb.model.joints.joint import Joint
-from lierb.support.shown import Lines, Shown
+from lierb.support.representations import Lines, Represented
 
 GROUND = "ground"
 ByLink = Mapping[str, Any]  # values by name of the link: poses, twists, coordinates or rates
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Link(Shown):
+class Link(Represented):
     """Body of a mechanism, and its joint to another link or to the ground.
 
     Parameters
@@ -52,13 +52,13 @@ class Link(Shown):
         require(f"the body of link {self.name}", self.body, Body, "a lierb.Body")
         _require_held("link", self.name, self.joint, self.parent)
 
-    def _shown(self) -> tuple[str, Lines]:
+    def _representation(self) -> tuple[str, Lines]:
         title = f"lierb.Link {self.name}: {self.joint.name} joint to {self.parent}"
-        return title, self.body._shown()[1]
+        return title, self.body._representation()[1]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Loop(Shown):
+class Loop(Represented):
     """Joint that closes a loop, in addition to the joints of the links.
 
     Parameters
@@ -96,7 +96,7 @@ class Loop(Shown):
                 f"loop {self.name} is between {self.body} and itself; expected two bodies"
             )
 
-    def _shown(self) -> tuple[str, Lines]:
+    def _representation(self) -> tuple[str, Lines]:
         return (
             f"lierb.Loop {self.name}: {self.joint.name} joint of {self.body} to {self.parent}",
             (),

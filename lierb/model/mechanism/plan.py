@@ -38,20 +38,20 @@ def cspaces_of(mechanism: Tree, cspace: CSpace) -> tuple[str, ...]:
         lacking = [name for name in mechanism.names if name not in cspace]
         if lacking:
             raise ArgumentError(f"cspace={brief(dict(cspace))} lacks {', '.join(lacking)}")
-        found = tuple(cspace[name] for name in mechanism.names)
-        for name in found:
+        spaces = tuple(cspace[name] for name in mechanism.names)
+        for name in spaces:
             require_name("cspace of a link", name, CSPACES[1:])
     else:
         require_name("cspace", cspace, CSPACES)
-        found = (cspace,) * len(mechanism.links)
-    for link, space in zip(mechanism.links, found, strict=True):
+        spaces = (cspace,) * len(mechanism.links)
+    for link, space in zip(mechanism.links, spaces, strict=True):
         if space == "SO3xR3" and np.any(link.body.com != 0.0):
             raise ArgumentError(
                 f'cspace="SO3xR3" needs the body frame at the centre of mass (com = 0), that of '
                 f"link {link.name} is elsewhere, where its equations do not decouple; move the "
                 'frame, or use "SE3" or "reduced"'
             )
-    return found
+    return spaces
 
 
 def formulation_of(

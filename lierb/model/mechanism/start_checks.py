@@ -34,7 +34,7 @@ from lierb.model.mechanism.row_system import (
     velocity_of,
     wrong_way,
 )
-from lierb.support.arrays import Array, as_poses, components, pose_components, taken
+from lierb.support.arrays import Array, as_poses, components, items_at, pose_components
 
 EVEN_SO = '(check="warn" integrates it all the same, but not on "reduced")'
 
@@ -79,7 +79,7 @@ def violation_of_body(
         if number is None:
             return violation_of(_start_of_body(model, poses, twists, t0, Members(0, count, count)))
         alone = model.of_body(number) if model.batch_size() else model
-        own = taken(poses, number, 2), taken(twists, number, 1)
+        own = items_at(poses, number, 2), items_at(twists, number, 1)
         return violation_of(_start_of_body(alone, *own, t0, Members(number, 1, count)))
 
 
@@ -201,8 +201,8 @@ def _twist_violation(start: Start, name: str, h: ConnectionState) -> TwistError 
 def _beyond(size: Any, allowed: Any, count: int) -> list[int]:
     """Return the index of the first member whose error exceeds its tolerance or is NaN."""
     is_fine = np.broadcast_to((size <= allowed) & (allowed < np.inf), (count,))
-    found: list[int] = np.flatnonzero(~is_fine)[:1].tolist()
-    return found
+    indices: list[int] = np.flatnonzero(~is_fine)[:1].tolist()
+    return indices
 
 
 def _rate_tolerances(h: ConnectionState, speed: Any) -> tuple[Any, Any]:
@@ -221,7 +221,7 @@ def _rate_tolerances(h: ConnectionState, speed: Any) -> tuple[Any, Any]:
 
 def _effect_of_closing(mechanism: TreeKinematics, pose: Any, member: int) -> str:
     """Describe how far `close` would move the links of one member."""
-    own = {name: taken(as_poses("pose0", pose[name]), member, 2) for name in mechanism.names}
+    own = {name: items_at(as_poses("pose0", pose[name]), member, 2) for name in mechanism.names}
     alone = mechanism.of_body(member) if mechanism.batch_size() else mechanism
     try:
         near = closed(alone, list(own.values()))

@@ -28,9 +28,9 @@ from lierb.support.arrays import (
     Array,
     Which,
     as_numbers,
-    taken,
+    items_at,
 )
-from lierb.support.shown import Lines, counted, quantity
+from lierb.support.representations import Lines, counted, quantity
 
 BODY = {"mass": 0, "inertia": 2, "com": 1}  # number of axes of an item, by name of the array
 JOINT = {"ground_frame": 2, "body_frame": 2, "pitch": 0, "length": 0}
@@ -289,11 +289,11 @@ class Tree(Model):
 
     @property
     def description(self) -> dict[str, Any]:
-        held: dict[str, Any] = {}
+        entries: dict[str, Any] = {}
         for each in self.links_and_loops:
             is_loop = isinstance(each, Loop)
             numbers = {} if is_loop else {name: getattr(each.body, name) for name in BODY}
-            held[each.name] = {
+            entries[each.name] = {
                 "kind": "loop" if is_loop else "link",
                 "parent": each.parent,
                 **({"body": each.body} if is_loop else {}),
@@ -304,7 +304,7 @@ class Tree(Model):
             }
         rows = [f"{each.name}.{row}" for each in self.connections for row in each.rows]
         return {
-            "mechanism": held, "gravity": self.gravity, **self.described_elements, "rows": rows,
+            "mechanism": entries, "gravity": self.gravity, **self.described_elements, "rows": rows,
         }  # fmt: skip
 
     def from_links(self, values: dict[str, Any]) -> dict[str, Any]:
@@ -320,7 +320,7 @@ class Tree(Model):
         return (
             [Link(x.name, x.body.of(which), x.joint.of(which), x.parent) for x in self.links],
             [Loop(x.name, x.joint.of(which), x.body, x.parent) for x in self.loops],
-            taken(self.gravity, which, 1),
+            items_at(self.gravity, which, 1),
         )
 
     @property
@@ -335,10 +335,12 @@ class Tree(Model):
                 entries[f"{'.'.join(element.at)}.{name}[{number}]"] = entry
         return entries
 
-    def _shown(self) -> tuple[str, Lines]:
-        rows = [("links", "\n".join(_shown_joint(x, x.body._shown()[1]) for x in self.links))]
+    def _representation(self) -> tuple[str, Lines]:
+        rows = [
+            ("links", "\n".join(_joint_text(x, x.body._representation()[1]) for x in self.links))
+        ]
         if self.loops:
-            rows.append(("loops", "\n".join(_shown_joint(x, ()) for x in self.loops)))
+            rows.append(("loops", "\n".join(_joint_text(x, ()) for x in self.loops)))
         rows.append(("gravity", quantity(self.gravity, "m/s²", 1)))
         rows += self._shown_elements()
         parts = [counted(len(self.links), "link")]
@@ -357,7 +359,7 @@ def _all_of(argument: str, given: Any, kind: type, expected: str) -> Any:
     return items
 
 
-def _shown_joint(each: Link | Loop, lines: Lines) -> str:
+def _joint_text(each: Link | Loop, lines: Lines) -> str:
     ends = f" of {each.body}" if isinstance(each, Loop) else ""
     parts = (f"{each.name}: {each.joint.name} joint{ends} to {each.parent}", *map(" ".join, lines))
     return ", ".join(parts)

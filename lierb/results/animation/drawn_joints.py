@@ -78,10 +78,10 @@ def _axes(joint: Joint) -> tuple[list[int], list[int]]:
 
 def _slides(joint: Joint) -> tuple[list[int], list[int]]:
     """Return the axes of the joint's frames on the ground and on the body along which it slides."""
-    found = []
+    slides = []
     for symbol in ("d", "Qtd"):
-        held = {row.i for row in joint.rows if row.symbol == symbol}
-        if "screw" in map(str, joint.rows) and symbol == "d" and len(held) < 2:
-            held = {0, 1, 2}  # a rising plane has no line to draw
-        found.append([i for i in range(3) if i not in held] if len(held) == 2 else [])
-    return found[0], found[1]
+        fixed = {row.i for row in joint.rows if row.symbol == symbol}
+        if "screw" in map(str, joint.rows) and symbol == "d" and len(fixed) < 2:
+            fixed = {0, 1, 2}  # a rising plane has no line to draw
+        slides.append([i for i in range(3) if i not in fixed] if len(fixed) == 2 else [])
+    return slides[0], slides[1]

@@ -1,4 +1,4 @@
-"""Arrays of a scene as text: little-endian numbers in base64."""
+"""Encode arrays of a scene as text: little-endian numbers in base64."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from lierb.support.arrays import Array
 
-RUNAWAY = 1e30  # m; positions beyond are not drawn, since float32 ends at 3e38
+RUNAWAY = 1e30  # m; larger positions are not drawn, since float32 ends at 3e38
 
 
 def encoded(array: Array) -> str:

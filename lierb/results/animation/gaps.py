@@ -1,4 +1,4 @@
-"""Gap of a joint: the displacement of its body that the animation magnifies."""
+"""Compute the gap of a joint: the displacement of its body that the animation magnifies."""
 
 from __future__ import annotations
 
@@ -48,12 +48,12 @@ def gaps_in(joint: Joint, parameters: Parameters, body: BodyConstants, poses: Ar
         )
     is_translational = np.array([r.is_translational for r in rows])
     alive = np.isfinite(values).all(axis=1)
-    for columns, chosen, found in (
+    for columns, chosen, gaps in (
         (slice(0, 3), ~is_translational, rotation), (slice(3, 6), is_translational, position),
     ):  # fmt: skip
-        found[~alive] = np.nan
+        gaps[~alive] = np.nan
         if chosen.any():
             inverse = np.linalg.pinv(jacobian[alive][:, chosen, columns], rcond=1e-9)
-            found[alive] = np.einsum("tij,tj->ti", inverse, values[alive][:, chosen])
+            gaps[alive] = np.einsum("tij,tj->ti", inverse, values[alive][:, chosen])
     to_ground = poses[:, :3, :3] @ joint.body_frame[:3, :3]  # from the body's joint axes
     return np.hstack([np.einsum("tij,tj->ti", to_ground, each) for each in (rotation, position)])

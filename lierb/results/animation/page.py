@@ -1,4 +1,4 @@
-"""HTML page of a scene: one file, without network or libraries."""
+"""Make the HTML page of a scene: one file, without network or libraries."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from lierb.results.colours import CSPACE_NAMES
 from lierb.results.states import RunStates
 from lierb.support.arrays import Array, as_numbers, is_whole
 from lierb.support.files import require_page, write_whole
-from lierb.support.shown import counted, steps_told
+from lierb.support.representations import counted, steps_text
 
 MOST_VIEWS = 8  # most views by default
 FRAMES = 2000  # most frames of a trajectory; longer histories are thinned
@@ -219,7 +219,7 @@ def _named(results: Any) -> dict[str, RunStates]:
         given = [("", results)]
     else:
         given = [(None, result) for result in items_of("results", results, RESULTS)]
-    found: dict[str, RunStates] = {}
+    named: dict[str, RunStates] = {}
     for number, (name, result) in enumerate(given):
         if not hasattr(result, "summary") or not hasattr(result, "history"):
             raise ArgumentError(f"results has {brief(result)}; expected {RESULTS}")
@@ -228,10 +228,10 @@ def _named(results: Any) -> dict[str, RunStates]:
             name = CSPACE_NAMES.get(space, space) if len(given) > 1 else ""
         if result.history is None or not result.has_states:
             raise ArgumentError(f"{f'{name}: ' if name else ''}{RECORD}")
-        found[name if name not in found else f"{name} ({number + 1})"] = result
-    if not found:
+        named[name if name not in named else f"{name} ({number + 1})"] = result
+    if not named:
         raise ArgumentError(f"results is empty; expected {RESULTS}")
-    return found
+    return named
 
 
 RESULTS = "what lierb.integrate returned, one or several"
@@ -286,7 +286,7 @@ def _title(result: RunStates) -> str:
     joint, options = known.get("problem", {}).get("joint", ""), known.get("options", {})
     parts = [f"{joint} joint"] if joint else [described_links(known) or "lierb"]
     if options:
-        parts += [options["method"], steps_told(options)]
+        parts += [options["method"], steps_text(options)]
     return ", ".join(parts)
 
 

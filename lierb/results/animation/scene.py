@@ -1,4 +1,4 @@
-"""Scene of an animation: plain data that becomes JSON.
+"""Make the scene of an animation: plain data that becomes JSON.
 
     scene   title; up (3); centre (3) and radius of the visible region; size of the bodies, m;
             floor: height of the floor along up, m, or null; follow: true if the camera follows the
@@ -47,7 +47,7 @@ Shapes = Shape | Mapping[str, Shape] | None
 Trails = Array | bool | Mapping[str, Array]
 GAP_SHOWN = 0.4  # largest gap at full magnification, relative to the bodies' size, or in rad
 MOST_MAGNIFIED = 1e12  # rounding, 1e-16, stays invisible
-WANDERS = 12.0  # distance, relative to its size, beyond which the camera follows a body
+FOLLOW_DISTANCE = 12.0  # distance, relative to its size, beyond which the camera follows a body
 TURN_SEEN = 0.5 * math.pi  # rad from frame to frame; the sense of a larger turn is not visible
 CENTRED = 0.02  # relative to the size: a centre of mass nearer to the joint has no trail
 RECORD = (
@@ -86,7 +86,7 @@ def scene_of(
     low, high = points.min(axis=0), points.max(axis=0)
     centre = 0.5 * (low + high)
     first, is_heavy = _up(named[0][2]), bool(np.any(named[0][2].gravity != 0.0))
-    follow = bool(np.max(high - low) > WANDERS * size)
+    follow = bool(np.max(high - low) > FOLLOW_DISTANCE * size)
     notes = []
     if max(turns) > TURN_SEEN:
         notes.append(
@@ -112,14 +112,14 @@ def scene_of(
 
 def settings_of(result: RunStates) -> dict[str, Any]:
     """Return the metadata of a result: its problem and options."""
-    found: dict[str, Any] = json.loads((result.summary.schema.metadata or {}).get(b"lierb", b"{}"))
-    return found
+    header: dict[str, Any] = json.loads((result.summary.schema.metadata or {}).get(b"lierb", b"{}"))
+    return header
 
 
 def cspace_of(result: RunStates) -> str | None:
     """Return the c-space of a result; None if its metadata lack it."""
-    found: str | None = settings_of(result).get("options", {}).get("cspace")
-    return found
+    cspace: str | None = settings_of(result).get("options", {}).get("cspace")
+    return cspace
 
 
 def _colours(results: Sequence[RunStates]) -> list[tuple[str, int]]:
@@ -164,7 +164,7 @@ class Linked(NamedTuple):
 
 
 def _linked(model: Model) -> list[Linked]:
-    links, found = model.joints[: len(model.bodies)], []
+    links, linked = model.joints[: len(model.bodies)], []
     for i, (name, body) in enumerate(zip(model.link_names, model.bodies, strict=True)):
         own = links[i].joint
         assert own is not None
@@ -176,8 +176,8 @@ def _linked(model: Model) -> list[Linked]:
         ]
         is_parent = i in (at.parent for at in links)
         prefix = f"{name}." if name else ""
-        found.append(Linked(name or "body", prefix, body, points, is_parent, bool(own.rows)))
-    return found
+        linked.append(Linked(name or "body", prefix, body, points, is_parent, bool(own.rows)))
+    return linked
 
 
 def _view(
@@ -199,22 +199,22 @@ def _view(
     links = _linked(model)
     poses = [poses_of(history, count, number, rows, each.prefix) for each in links]
     shapes = [_of_link(shape, each.name) or equivalent(each.body) for each in links]
-    held = drawn_joints(model, poses)
-    errors = _errors(history, [each.joint for each in held], count, number, rows)
+    joints = drawn_joints(model, poses)
+    errors = _errors(history, [each.joint for each in joints], count, number, rows)
     view = {
         "title": name,
         "t": text_of(np.ascontiguousarray(t[rows], "<f8")),  # resolves 1e-3 s after days
         "bodies": [
             _body(each, own, placed, trail) for each, own, placed in zip(links, shapes, poses)
         ],
-        "joints": [each.described() for each in held],
+        "joints": [each.described() for each in joints],
         "errors": {name: encoded(values) for name, values in errors.items()},
     }
     size = max(each.size for each in shapes)
     turn = max(_turn(history, count, number, rows, t[rows], each.prefix) for each in links)
-    grounds = [each.joint.ground_frame[:3, 3] for each in held if each.parent is None]
+    grounds = [each.joint.ground_frame[:3, 3] for each in joints if each.parent is None]
     swept = np.vstack([_swept(*each) for each in zip(poses, shapes)] + grounds)
-    gap = max((each.gap_size(size) for each in held), default=0.0)
+    gap = max((each.gap_size(size) for each in joints), default=0.0)
     return view, swept, size, gap, [*errors], turn
 
 
@@ -280,8 +280,8 @@ def _errors(
 
     Each value is the maximum since the previous frame.
     """
-    found = {kind for joint in joints for kind in joint.error_kinds}
-    kinds = [f"{kind}_error" for kind in sorted(found)] or ["energy_drift"]
+    names = {kind for joint in joints for kind in joint.error_kinds}
+    kinds = [f"{kind}_error" for kind in sorted(names)] or ["energy_drift"]
     starts = np.append(0, rows[:-1] + 1)
     return {
         name: np.maximum.reduceat(

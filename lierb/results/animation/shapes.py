@@ -16,7 +16,7 @@ from lierb.support.arrays import Array, as_floats, as_poses
 SIDES = 24  # side faces of the prism that represents a cylinder
 THINNEST = 0.02  # least thickness drawn, relative to the longest edge
 SYMMETRIC = 1e-6  # two principal moments that differ by less, relative to the largest, are equal
-NORMALS = ((0, 1), (0, -1), (1, 1), (1, -1), (2, 1), (2, -1))  # of a box's faces: axis, sign
+NORMALS = ((0, 1), (0, -1), (1, 1), (1, -1), (2, 1), (2, -1))  # (axis, sign) of a box's faces
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class Shape:
 
     @property
     def size(self) -> float:
-        """The longest edge of the box around it, m."""
+        """Return the longest edge of the box around the shape, m."""
         return float(np.ptp(self.vertices, axis=0).max())
 
     def placed(self, pose: Any) -> Shape:
@@ -176,20 +176,20 @@ def equivalent(body: Body) -> Shape:
 
 
 def box_edges(mass: float, moments: Array) -> Array:
-    """Edges of the homogeneous box of these principal moments, kg m²: a₁² = 6 (I₂ + I₃ − I₁)/m."""
+    """Return the edges of the homogeneous box of these moments, kg m²: a₁² = 6 (I₂ + I₃ − I₁)/m."""
     squares = 6.0 * (moments.sum() - 2.0 * moments) / mass
     return np.asarray(np.sqrt(np.maximum(squares, 0.0)))  # a plate's square may round below 0
 
 
 def cylinder_of(mass: float, along: float, across: float) -> tuple[float, float]:
-    """Radius and length of the homogeneous cylinder: I₃ = m r²/2, I₁ = m (3 r² + h²)/12."""
+    """Return radius and length of the homogeneous cylinder: I₃ = m r²/2, I₁ = m (3 r² + h²)/12."""
     radius = np.sqrt(2.0 * along / mass)
     length = np.sqrt(max(12.0 * across / mass - 3.0 * radius**2, 0.0))
     return float(radius), float(length)
 
 
 def principal(body: Body) -> tuple[Array, Array]:
-    """Principal moments about the centre of mass, kg m², and their axes, a right-handed matrix.
+    """Return the principal moments about the centre of mass, kg m², and their axes, right-handed.
 
     For a diagonal inertia these are the body's axes, in their order.
     """

@@ -1,4 +1,4 @@
-"""Bodies of a study: drawn, made and started, a range of them at a time."""
+"""Draw, make and start the bodies of a study, a range of them at a time."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ from lierb.studies.description.study_file import ELEMENTS
 from lierb.studies.description.study_tables import NOTHING, StudyTables
 from lierb.support.arrays import Array
 
-Draws = dict[str, dict[str, Array]]  # by section and key
-Elements = dict[str, list[Any]]  # by list of the problem
+Draws = dict[str, dict[str, Array]]  # draws by section and key
+Elements = dict[str, list[Any]]  # elements by list of the problem
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ class Batch:
 
     @property
     def first(self) -> tuple[Any, Any]:
-        """Problem and pose of the first body alone."""
+        """Return problem and pose of the first body alone."""
         poses = self.pose0
         if isinstance(poses, dict):
             return self.problem.of_body(0), {name: pose[0] for name, pose in poses.items()}
@@ -184,6 +184,6 @@ def _require_one(label: str, element: Any, drawn: Mapping[str, Array]) -> None:
         if key not in drawn and array.ndim > len(shape):
             what = f"a list of {prod(shape)} numbers" if shape else "one number"
             raise StudyError(
-                f"{label}.{key} has shape {array.shape}; expected {what}, of all bodies; what "
-                "differs from body to body is a distribution in [sample]"
+                f"{label}.{key} has shape {array.shape}; expected {what} for all "
+                "bodies; numbers that differ from body to body need a distribution in [sample]"
             )

@@ -1,4 +1,4 @@
-"""Changes of a study's settings by dotted keys: `lierb run STUDY --set integrate.dt=1e-4`.
+"""Change a study's settings by dotted keys: `lierb run STUDY --set integrate.dt=1e-4`.
 
     integrate.dt                 a key of a table
     sample.initial.omega.mean    of a table in a table

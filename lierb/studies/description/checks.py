@@ -1,4 +1,4 @@
-"""Checks of a study's tables that concern more than one key."""
+"""Check a study's tables where more than one key is concerned."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from lierb.studies.description.changes import index_of, path_of
 from lierb.studies.description.sections.running import IntegrateSection
 from lierb.studies.description.sections.sampling import RESERVED
 from lierb.studies.description.study_file import ELEMENTS
-from lierb.studies.description.study_tables import HELD, StudyTables
+from lierb.studies.description.study_tables import LINKS_AND_LOOPS, StudyTables
 
 MOST_SETTINGS = 1000  # each is checked before a study runs
 
 
 def check_kind(study: StudyTables) -> None:
     """Raise StudyError for tables of one body in a study of a mechanism, and the reverse."""
-    study.sample.require_names([each.name for each in study.problem.held()])
+    study.sample.require_names([each.name for each in study.problem.links_and_loops()])
     for loop in study.problem.loops:
         for section in {*(study.sample.model_extra or {}).get(loop.name, {})} - {"joint"}:
             raise StudyError(f"sample.{loop.name}.{section}: a loop has a joint, and no more")
@@ -37,7 +37,7 @@ def check_kind(study: StudyTables) -> None:
 
 
 def _check_mechanism(study: StudyTables) -> None:
-    names = [each.name for each in study.problem.held()]
+    names = [each.name for each in study.problem.links_and_loops()]
     for name in names:
         if name.lower() in RESERVED:
             raise StudyError(
@@ -121,7 +121,7 @@ def require_effect(study: StudyTables, changes: Mapping[str, Any]) -> None:
 def _sampled_path(study: StudyTables, path: tuple[str, ...]) -> tuple[str, ...]:
     """Path of a key in [sample], where elements and links are identified by their names."""
     table = path[1] if len(path) > 2 and path[0] == "problem" else ""
-    if (len(path), table in ELEMENTS) != (4, True) and (len(path), table in HELD) != (5, True):
+    if len(path) != (4 if table in ELEMENTS else 5 if table in LINKS_AND_LOOPS else 0):
         return path
     items = getattr(study.problem, table)
     tables = [each.model_dump() for each in items]

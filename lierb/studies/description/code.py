@@ -1,4 +1,4 @@
-"""Python files of a study: `type = "python:FILE.py:NAME"`, FILE beside the study's file.
+"""Load the Python files of a study: `type = "python:FILE.py:NAME"`, FILE beside the study's file.
 
 A study holds the texts of its files, not their paths: they are copied into the results, sent to the
 workers of a cluster, and part of its digest. They are executed when the problem is made.

@@ -1,4 +1,4 @@
-"""Study of a problem and a design made in Python, converted to the tables of a study's file.
+"""Convert a problem and a design made in Python to the tables of a study's file.
 
 Such a study has all features of a study from a file; its result folder describes it completely.
 """
@@ -111,7 +111,7 @@ def study_of(
     }
     if isinstance(problem, Mechanism):
         of_links, tables["initial"] = _starts(problem, initial or {})
-        tables["problem"] |= _held(problem, design, of_links)
+        tables["problem"] |= _links_and_loops(problem, design, of_links)
     else:
         for key in initial or {}:
             if key not in KEYS["initial"]:
@@ -155,7 +155,7 @@ def _starts(
     return of_links, rest
 
 
-def _held(
+def _links_and_loops(
     mechanism: Mechanism, design: Design, initial: dict[str, dict[str, Any]]
 ) -> dict[str, Any]:
     """Return the tables of the links and the loops."""
@@ -303,7 +303,7 @@ def _require_same(problem: Problem | Mechanism, study: Study) -> None:
     for given, again in zip(problem.elements, made.elements, strict=True):
         if given.kind != again.kind and given.made_by is not None:
             raise StudyError(
-                f"{given.name} is another function in its file than the one that the problem has: "
-                "the file was edited since it was imported, or what the function refers to was set "
-                "elsewhere; import it anew, or make that a parameter"
+                f"{given.name} is another function in its file than in the problem: "
+                "the file was edited since it was imported, or a value that the function uses "
+                "was set elsewhere; import it anew, or make the value a parameter"
             )

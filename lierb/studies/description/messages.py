@@ -1,4 +1,4 @@
-"""Messages about errors in a study, with the line and key of its file."""
+"""Locate errors in a study: line and key of its file."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from lierb.errors import LierbError, StudyError
 from lierb.studies.description.changes import path_of, written
 from lierb.studies.description.study_file import ELEMENTS, line_of, shortened
 
-MOST_LISTED = 10  # errors of a file
+MOST_LISTED = 10  # most errors of a file that are listed
 
 
 @contextmanager
 def at(table: str, keys: Collection[str] = ()) -> Iterator[None]:
-    """Context manager: convert a LierbError into a StudyError about a table of the file.
+    """Convert a LierbError, in a context, into a StudyError about a table of the file.
 
     If the message begins with one of `keys`, the key is appended to the table's name.
     """

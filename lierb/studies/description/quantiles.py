@@ -27,7 +27,7 @@ class Quantile(NamedTuple):
 
     @property
     def width(self) -> float:
-        """Width of the interval; NaN if it has no end."""
+        """Return the width of the interval; NaN if it has no end."""
         return self.high - self.low
 
 
@@ -47,7 +47,7 @@ def quantile_of(ordered: Array, probability: float) -> Quantile:
 
 
 def share_width(count: int, of: int) -> float:
-    """Width of a share's interval, by Clopper and Pearson; `scipy.stats.binomtest`."""
+    """Return the width of a share's interval, by Clopper and Pearson; `scipy.stats.binomtest`."""
     require("scipy")
     from scipy.stats import binomtest
 

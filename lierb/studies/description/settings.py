@@ -1,4 +1,4 @@
-"""Settings of a study: the product of its lists of c-spaces, methods and steps."""
+"""List the settings of a study: the product of its lists of c-spaces, methods and steps."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Setting:
 
     @property
     def step(self) -> float:
-        """Fixed step, s, or relative tolerance."""
+        """Return the fixed step, s, or the relative tolerance."""
         step = self.dt if self.rtol is None else self.rtol
         assert step is not None
         return step

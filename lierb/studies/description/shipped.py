@@ -1,4 +1,4 @@
-"""Example studies of the package."""
+"""Find the example studies of the package."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ SCHEMA = "#:schema "  # for editors; the path is valid only in the checkout
 
 
 def _folder() -> Path:
-    """Folder of the examples: inside the installed package, or beside it in a checkout."""
+    """Return the folder of the examples: in the installed package, or beside it in a checkout."""
     inside = PACKAGE / "examples"
     return inside if inside.is_dir() else PACKAGE.parent / "examples"
 

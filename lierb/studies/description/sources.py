@@ -29,7 +29,7 @@ def path_given(study: Any) -> Path:
 
 @contextmanager
 def as_file(path: Path) -> Iterator[Path]:
-    """Context manager: yield the path of a study's file that has a name and can be read again.
+    """Yield, in a context, the path of a study's file that has a name and can be read again.
 
     Standard input (`-`), a pipe, and a file whose name is not text are copied to a temporary
     `study.toml`. At most LONGEST_STUDY + 1 bytes are copied, since a pipe may have no end. Raises

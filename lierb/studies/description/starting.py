@@ -1,4 +1,4 @@
-"""Initial poses and twists of a study's bodies, from its tables [initial].
+"""Compute initial poses and twists of a study's bodies, from its tables [initial].
 
 The table of a single body has the arguments of `Joint.pose` and `Joint.twist`. Links of a mechanism
 are placed relative to their parents, each by its own table `initial`; open loops are then closed.
@@ -32,7 +32,7 @@ from lierb.support.arrays import (
     pose_components,
     pose_matrix,
 )
-from lierb.support.shown import counted
+from lierb.support.representations import counted
 
 PLACES = ("rotation", "place")
 AUTO, NEVER = "auto", "never"  # closing of loops
@@ -73,14 +73,14 @@ def _placed(joint: Joint, initial: Initial) -> Array | None:
 
 
 def _turned_and_placed(initial: Initial) -> Pose:
-    """Pose of the body's joint frame relative to the joint frame of the ground or parent."""
+    """Return the body's joint frame relative to the joint frame of the ground or parent."""
     turn = as_rotations("rotation", initial.get("rotation", np.eye(3)))
     place = as_numbers("place", initial.get("place", (0.0, 0.0, 0.0)), (3,))
     return components(turn, 2), components(place)
 
 
 def _on(joint: Joint, relative: Pose) -> Pose:
-    """Pose of the body relative to the ground or parent, G D B⁻¹."""
+    """Return the pose of the body relative to the ground or parent, G D B⁻¹."""
     ground, body = (pose_components(f) for f in (joint.ground_frame, joint.body_frame))
     return se3.compose(se3.compose(ground, relative), se3.inverse(body))
 
@@ -97,7 +97,7 @@ def started_mechanism(
     close : AUTO closes open loops and projects twists that violate constraints, to the nearest
         poses and twists in the mass metric; NEVER leaves them.
     """
-    with np.errstate(all="ignore"):  # overflow shows in the result
+    with np.errstate(all="ignore"):  # overflow is detected in the result
         placed = _poses(mechanism, initial)
     poses = {
         name: _spread(f"the pose of {name}", pose_matrix(placed[i]), count, 2)

@@ -45,13 +45,13 @@ from lierb.studies.description.study_file import (
     tables_in,
 )
 from lierb.studies.description.study_tables import NEW_KEYS, StudyTables
-from lierb.support.shown import FAILED, Lines, Shown, counted
+from lierb.support.representations import FAILED, Lines, Represented, counted
 
 PREVIEW = 8  # number of bodies made to check a study
 BODIES = ("body", "bodies")
 
 
-class Study(Shown, StudyTables):
+class Study(Represented, StudyTables):
     """Study, validated by `of` or `load`.
 
     Raises
@@ -180,7 +180,7 @@ class Study(Shown, StudyTables):
                 self.options(setting, batch.problem)
         checks.check_seed(self)
 
-    def _shown(self) -> tuple[str, Lines]:
+    def _representation(self) -> tuple[str, Lines]:
         run = self.integrate
         *some, last = self.table_names
         tables = f"{', '.join(some)} and {last}" if some else last
@@ -201,7 +201,7 @@ class Study(Shown, StudyTables):
             return f"lierb.Study {self.name!r}: {len(self.design)} {of_all}", rows
         return f"lierb.Study {self.name!r}: {count} on a {self.kind}", rows
 
-    __str__ = Shown.__repr__
+    __str__ = Represented.__repr__
 
     @property
     def has_lane_clocks(self) -> bool:
@@ -215,7 +215,7 @@ class Study(Shown, StudyTables):
 
     @property
     def stabilise(self) -> str | Stabilisation | None:
-        """Argument of `lierb.integrate`."""
+        """Return the argument of `lierb.integrate`."""
         own = self.integrate.stabilise
         return baumgarte(**own.model_dump()) if isinstance(own, Baumgarte) else own
 
@@ -245,7 +245,7 @@ class Study(Shown, StudyTables):
         return rule_of(text, self.batch(0, 1).problem, self.has_lane_clocks)
 
     def fingerprints(self) -> dict[str, str]:
-        """Fingerprints of the functions in the study's files, by list and label in the problem."""
+        """Return fingerprints of the functions in the study's files, by list and label."""
         problem = self.batch(0, 1).problem
         made = {table: getattr(problem, table) for table in ELEMENTS}
         return {

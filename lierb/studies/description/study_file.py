@@ -25,7 +25,7 @@ from lierb.support.arrays import as_floats, as_matrix, components, pose_matrix
 
 ELEMENTS = ("forces", "constraints", "observables", "events", "states", "controllers")
 MOST_TEXT = 1000  # most characters of a text value
-MOST_PARTS = 32  # most parts of a dotted key; tomllib's time grows with their square
+MOST_PARTS = 32  # most parts of a dotted key; tomllib's time grows with the square of their number
 DEEPEST = 16  # most levels of nested tables and lists; a study needs seven
 LARGEST = 2**64 - 1  # largest whole number: the largest seed
 LONGEST_MESSAGE = 400  # characters

@@ -20,12 +20,12 @@ from lierb.studies.description.sections.running import IntegrateSection, OutputS
 from lierb.studies.description.sections.sampling import SampleSection
 from lierb.studies.description.settings import Setting
 from lierb.studies.description.study_file import ELEMENTS, plain
-from lierb.support.shown import counted
+from lierb.support.representations import counted
 
 TABLES = ("summary", "history", "events")
 NEW_KEYS = ("rtol", "atol", "dt_min", "dt_max", "max_steps", "save_at", "discontinuities")
 NOTHING = "nothing"  # quantity in the design of a study without sampled quantities
-HELD = ("links", "loops")  # lists of the problem whose items have a joint
+LINKS_AND_LOOPS = ("links", "loops")  # lists of the problem whose items have a joint
 
 
 class StudyTables(Section):
@@ -59,7 +59,7 @@ class StudyTables(Section):
 
     @property
     def kind(self) -> str:
-        """Kind of problem: `spherical joint`, or `mechanism of 3 links and 1 loop`."""
+        """Return the kind of problem: `spherical joint`, or `mechanism of 3 links and 1 loop`."""
         if self.joint is not None:
             return f"{self.joint.type} joint"
         parts = [counted(len(self.problem.links), "link")]
@@ -69,27 +69,27 @@ class StudyTables(Section):
 
     @property
     def design(self) -> Design:
-        """Design of the table [sample]."""
+        """Return the design of the table [sample]."""
         quantities = self.sample.quantities() or {NOTHING: 0.0}
         return Design(quantities, n=self.sample.n, seed=self.sample.seed, method=self.sample.method)
 
     @property
     def settings(self) -> list[Setting]:
-        """Product of the c-spaces, methods and steps of the study."""
+        """Return the product of the c-spaces, methods and steps of the study."""
         run = self.integrate
         each = product(run.cspace, run.method, run.steps)
         return [Setting(cspace, method, *step) for cspace, method, step in each]
 
     @property
     def table_names(self) -> tuple[str, ...]:
-        """Names of the result tables."""
+        """Return the names of the result tables."""
         return tables_of_study(self.model_dump())
 
     # ---- Python files ----------------------------------------------------------------------------
 
     @property
     def files(self) -> tuple[str, ...]:
-        """Names of the Python files to which the study refers."""
+        """Return the names of the Python files to which the study refers."""
         references = (named(element.type) for _, element in self.problem.elements())
         return tuple(sorted({each.file for each in references if each}))
 
@@ -148,10 +148,10 @@ class StudyTables(Section):
 
 
 def _later_keys(tables: dict[str, Any]) -> Iterator[tuple[dict[str, Any], tuple[str, ...]]]:
-    """Tables, and their keys added by later versions; unset, these do not change the digest."""
+    """Yield tables with keys of later versions, which change the digest only if set."""
     for section in ("problem", "sample"):
         yield tables[section], ELEMENTS[1:]
-    yield tables["problem"], HELD
+    yield tables["problem"], LINKS_AND_LOOPS
     yield tables["initial"], ("close",)
     yield tables["integrate"], ("stabilise", *NEW_KEYS)
     for key in ("body", "joint"):
@@ -176,7 +176,7 @@ def _with_defaults(tables: Any) -> Any:
 
 
 def tables_of_study(study: Mapping[str, Any]) -> tuple[str, ...]:
-    """Names of a study's result tables.   study : tables of the study, from `model_dump`."""
+    """Return the names of a study's result tables.   study : the study's `model_dump`."""
     run = study["integrate"]
     saves = run["save_every"] is not None or run.get("save_at") is not None
     is_there = (True, saves, bool(study.get("problem", {}).get("events")))

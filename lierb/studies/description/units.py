@@ -1,4 +1,4 @@
-"""Units of sampled quantities, for the fields of tables and the axes of figures."""
+"""Name the units of sampled quantities, for the fields of tables and the axes of figures."""
 
 from __future__ import annotations
 

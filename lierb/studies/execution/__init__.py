@@ -1,1 +1,1 @@
-"""Running a study, on this machine or on a cluster."""
+"""Run a study, on this machine or on a cluster."""

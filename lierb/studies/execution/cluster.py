@@ -1,4 +1,4 @@
-"""Execution of a study's parts on a Dask cluster. Needs the extra `lierb[cluster]`."""
+"""Execute a study's parts on a Dask cluster, which needs the extra `lierb[cluster]`."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ CONNECT_SECONDS = 30
 KEPT = "finished parts are kept, --resume (resume=True) does the rest"
 GONE = f"all workers of the cluster are gone; {KEPT}"
 LOST = f"the connection to the cluster was lost ({{}}); {KEPT}"
-LOST_SECONDS = 60  # without any worker, after which none is expected
+LOST_SECONDS = 60  # s without any worker until the run ends
 TALKING = ("client", "core", "comm", "comm.core", "comm.tcp", "batched", "utils", "utils_comm")
 
 
@@ -184,7 +184,7 @@ class NoAnswer(Exception):
 
 
 def _workers(client: Client) -> dict[str, int]:
-    """Number of threads of each worker, by its address."""
+    """Return the number of threads of each worker, by its address."""
     try:
         threads: dict[str, int] = client.sync(
             client.scheduler.ncores, callback_timeout=CONNECT_SECONDS
@@ -214,7 +214,7 @@ def _run_part(
 
 
 def _own_threads() -> int:
-    """Number of threads of this worker. Its tasks run one at a time, each with all threads."""
+    """Return this worker's number of threads; each of its tasks, one at a time, has all."""
     from distributed import get_worker
 
     return int(min(get_worker().state.nthreads, numba.config.NUMBA_NUM_THREADS))
@@ -287,8 +287,8 @@ def _result(client: Client, future: Future, part: Part) -> Any:
         except KilledWorker as error:
             raise StudyError(
                 f"workers died {error.allowed_failures + 1} times in a row that had part "
-                f"{part.name}, perhaps beside others; if it was for memory, fewer bodies in a "
-                "part take less: [output] part"
+                f"{part.name}, perhaps among others; if memory was short, choose fewer bodies in a "
+                "part: [output] part"
             ) from None
 
 

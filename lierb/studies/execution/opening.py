@@ -17,7 +17,7 @@ from lierb.studies.storage.parts import Parts
 from lierb.studies.storage.results import STUDY
 from lierb.studies.storage.store import Store
 
-MOST_DIFFERENCES = 5  # listed where two studies differ
+MOST_DIFFERENCES = 5  # most differences between two studies that are listed
 
 
 def loaded(
@@ -56,8 +56,8 @@ def opened(
         )
     if store.parts and not resume:
         raise StudyError(
-            f"{store.folder} has results of this study already; --resume (resume=True) does what "
-            "is missing, or choose another folder"
+            f"{store.folder} has results of this study already; --resume (resume=True) computes "
+            "missing parts, or choose another folder"
         )
     unentered(store, parts if is_same else None)
     if not store.parts:
@@ -73,8 +73,8 @@ def _resume(store: Store, study: Study, text: str) -> None:
     """Drop damaged parts, and write what is missing of the study's text and code."""
     if store.manifest["machine"] != machine():
         _warn(
-            f"{store.folder} was begun with other versions or on another machine; what is done "
-            "now may differ from its parts in the last bits"
+            f"{store.folder} was begun with other versions or on another machine; new parts "
+            "may differ from the others in the last bits"
         )
     if store.study_text() is None:
         _warn(f"{store.folder / STUDY} was missing; it is written again")
@@ -100,7 +100,7 @@ def unentered(store: Store, own: Parts | None = None) -> list[str]:
         if own is None or name is None or own.named(name) is None:
             raise StudyError(
                 f"{store.folder / file} would be read with this study's parts, but no manifest "
-                "enters it among them; move it elsewhere, or choose another folder"
+                "lists it; move it elsewhere, or choose another folder"
             )
     return files
 
@@ -120,7 +120,7 @@ def _differences(store: Store, study: Study) -> str:
 
 
 def _leaves(tables: Any, path: str = "") -> Iterator[tuple[str, Any]]:
-    """Dotted key and value of every entry of nested tables."""
+    """Yield dotted key and value of every entry of nested tables."""
     if not isinstance(tables, dict):
         yield path, tables
         return

@@ -1,4 +1,4 @@
-"""One trajectory of a study alone, and a study's kernels alone."""
+"""Run one trajectory of a study alone, or compile a study's kernels alone."""
 
 from __future__ import annotations
 

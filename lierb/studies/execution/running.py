@@ -1,4 +1,4 @@
-"""Running a study part by part into a folder."""
+"""Run a study part by part into a folder."""
 
 from __future__ import annotations
 
@@ -187,7 +187,7 @@ def run(
             raise KeyboardInterrupt
         in_turn.end()
         store.drop_unfinished()
-        unentered(store)  # raises for Parquet files that came meanwhile
+        unentered(store)  # raises for Parquet files that were added meanwhile
     warn_of(store.failures(), REPLAY, stacklevel=3)
     return Dataset.of(store)
 

@@ -1,4 +1,4 @@
-"""Results of a study as a stream of record batches, without files."""
+"""Stream the results of a study as record batches, without files."""
 
 from __future__ import annotations
 

@@ -8,12 +8,12 @@ import pyarrow.compute as pc
 
 from lierb.results.columns import as_array
 from lierb.studies.description.settings import Setting
-from lierb.studies.storage.results import IS_FINE, Results
+from lierb.studies.storage.results import IS_SUCCESS, Results
 from lierb.support.arrays import Array
 
 
 def rows_of(setting: Setting) -> pc.Expression:
-    """Filter for the rows of a setting."""
+    """Return the filter for the rows of a setting."""
     return (
         (pc.field("cspace") == setting.cspace)
         & (pc.field("method") == setting.method)
@@ -23,7 +23,7 @@ def rows_of(setting: Setting) -> pc.Expression:
 
 def ok_columns(dataset: Results, setting: Setting, names: list[str]) -> dict[str, Array]:
     """Read columns of the bodies that are ok in a setting; lists as (n, k)."""
-    table = dataset.table().to_table(columns=names, filter=rows_of(setting) & IS_FINE)
+    table = dataset.table().to_table(columns=names, filter=rows_of(setting) & IS_SUCCESS)
     return {name: as_array(table[name]) for name in names}
 
 
@@ -33,12 +33,12 @@ def field_unit(field: pa.Field) -> str:
 
 
 def drawn_columns(dataset: Results) -> dict[str, str]:
-    """Names of the columns of sampled quantities, and their units."""
+    """Return the names of the columns of sampled quantities, and their units."""
     fields = [field for field in dataset.table().schema if field.name.startswith("sample.")]
     return {field.name: field_unit(field) for field in fields}
 
 
 def some_rows(rows: int, most: int) -> Array:
-    """Indices of at most so many rows, at random: Sobol points are periodic."""
+    """Return indices of at most so many rows, at random: Sobol points are periodic."""
     chosen = np.random.default_rng(0).permutation(rows)[:most]
     return np.sort(chosen)

@@ -1,4 +1,4 @@
-"""Findings of a study, setting by setting: error quantiles, failures, observed orders."""
+"""Evaluate a study, setting by setting: error quantiles, failures, observed orders."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ ERRORS = {
 }
 LABELS = {"position": "position, m", "rotation": "rotation", "energy": "energy, J"}
 QUANTILES = (0.5, 0.95, 1.0)
-NEGLIGIBLE = 1e-18  # error that counts as zero, relative to the problem's scale
+NEGLIGIBLE = 1e-18  # largest error that counts as zero, relative to the problem's scale
 
 
 @dataclass(frozen=True)
@@ -98,20 +98,20 @@ def quantities(dataset: Results) -> list[Spread]:
     return list(spreads(dataset, study, columns | observed_columns(dataset, study)))
 
 
-def happened(dataset: Results) -> list[Occurred]:
-    """Number and first times of each event of the problem; [] without events."""
+def crossings(dataset: Results) -> list[Occurred]:
+    """Return number and first times of each event of the problem; [] without events."""
     return list(occurrences(dataset, study_of(dataset)))
 
 
 def indices(dataset: Results) -> list[Sensitivity]:
-    """Sobol's indices of the observables, or else of the errors; [] for other designs."""
+    """Return Sobol's indices of the observables, or else of the errors; [] for other designs."""
     study = study_of(dataset)
     columns = list(observed_columns(dataset, study)) or [*errors_seen(dataset, study).values()]
     return list(sensitivities(dataset, study, columns))
 
 
 def orders(findings: list[SettingErrors], of: SettingErrors) -> dict[str, Order | None]:
-    """Observed orders of the medians over all dt of a c-space and method."""
+    """Return the observed orders of the medians over all dt of a c-space and method."""
     same = [
         f for f in findings
         if (f.setting.cspace, f.setting.method) == (of.setting.cspace, of.setting.method)

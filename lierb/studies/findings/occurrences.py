@@ -1,4 +1,4 @@
-"""Occurrences of a study's events: their number, and first times."""
+"""Count the occurrences of a study's events, and collect their first times."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class Occurred(NamedTuple):
 
 
 def event_names(study: Study) -> list[str]:
-    """Names of the events in the tables."""
+    """Return the names of the events in the tables."""
     return [each.label for each in study.problem.events]
 
 

@@ -1,4 +1,4 @@
-"""Characteristic lengths and energies of a study, to tell rounding from error."""
+"""Compute characteristic lengths and energies of a study, to tell rounding from error."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from lierb.results.columns import as_array
 from lierb.studies.description.settings import Setting
 from lierb.studies.description.study import Study
 from lierb.studies.findings.columns import rows_of
-from lierb.studies.storage.results import IS_FINE, Results
+from lierb.studies.storage.results import IS_SUCCESS, Results
 from lierb.support.arrays import components, pose_matrix
 
 BODIES = 64  # number of bodies: the median's order of magnitude is enough
@@ -19,7 +19,7 @@ STATE = {"rotation": 9, "position": 3, "omega": 3, "v": 3}
 
 
 def sizes_of(dataset: Results, study: Study, setting: Setting) -> dict[str, float]:
-    """Scales of a setting's errors: position, m; rotation, 1; energy, J.
+    """Return the scales of a setting's errors: position, m; rotation, 1; energy, J.
 
     Medians over the first bodies, of the larger value of start and end. Position: the problem's
     characteristic length and the distance from the ground's origin. Energy: the kinetic energy, the
@@ -33,7 +33,7 @@ def sizes_of(dataset: Results, study: Study, setting: Setting) -> dict[str, floa
             "trajectory",
             *(f"{prefix}{name}" for prefix in _prefixes(links) for name in STATE),
         ],
-        filter=rows_of(setting) & IS_FINE,
+        filter=rows_of(setting) & IS_SUCCESS,
     )
     ended = as_array(rows["trajectory"])
     first = int(ended.min()) if rows.num_rows else 0

@@ -1,4 +1,4 @@
-"""Statistics of a study's bodies: quantiles with intervals, and sensitivity indices."""
+"""Compute statistics of a study's bodies: quantiles with intervals, and sensitivity indices."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from lierb.studies.description.quantiles import CONFIDENCE, Quantile, quantile_o
 from lierb.studies.description.settings import Setting
 from lierb.studies.description.study import Study
 from lierb.studies.findings.columns import field_unit, ok_columns, rows_of
-from lierb.studies.storage.results import IS_FINE, Results
+from lierb.studies.storage.results import IS_SUCCESS, Results
 from lierb.support.arrays import Array
 from lierb.support.extras import require
 
 PROBABILITIES = (0.05, 0.5, 0.95)
 NO_RESULTS = ("t", "dt", "rtol")  # columns of a history that are no results
-MOST_NUMBERS = 2**24  # read at once from a history: 128 MB
+MOST_NUMBERS = 2**24  # most numbers read at once from a history: 128 MB
 
 
 class Spread(NamedTuple):
@@ -40,7 +40,7 @@ class Spread(NamedTuple):
 
 
 def observed_columns(dataset: Results, study: Study) -> dict[str, str]:
-    """Names of the summary's columns of observables, and their units."""
+    """Return the names of the summary's columns of observables, and their units."""
     names = [
         f"{element.name}_{how}"
         for element in study.batch(0, 1).problem.observables
@@ -122,7 +122,7 @@ def percentiles_over_time(
 
 
 def _times(dataset: Results, setting: Setting) -> dict[int, float]:
-    """Times of the saved steps, in order; all bodies of a setting share them."""
+    """Return the times of the saved steps, in order; all bodies of a setting share them."""
     first = dataset.table().head(1, columns=["trajectory"], filter=rows_of(setting))
     if not first.num_rows:
         return {}
@@ -176,7 +176,7 @@ def sensitivities(dataset: Results, study: Study, columns: Sequence[str]) -> Ite
     for setting in study.settings:
         for column in columns:
             values = np.full(design.n, np.nan)
-            is_ok = rows_of(setting) & IS_FINE
+            is_ok = rows_of(setting) & IS_SUCCESS
             table = dataset.table().to_table(columns=["trajectory", column], filter=is_ok)
             values[as_array(table["trajectory"])] = as_array(table[column])
             whole = np.isfinite(values.reshape(-1, each)).all(axis=1)
@@ -189,7 +189,7 @@ def sensitivities(dataset: Results, study: Study, columns: Sequence[str]) -> Ite
 
 
 def _indices(values: Array) -> tuple[Array, Array]:
-    """First and total indices, each (value, low, high) × quantity.   values : (rows, 2 + q)."""
+    """Return first and total indices, (value, low, high) × quantity.   values : (rows, 2 + q)."""
     rows, width = values.shape
     if rows < LEAST_ROWS or np.ptp(values) == 0.0:
         nothing = np.full((3, width - 2), np.nan)
@@ -202,7 +202,7 @@ def _indices(values: Array) -> tuple[Array, Array]:
 
 
 def _estimated(values: Array) -> Array:
-    """First and total indices, (2, quantities)."""
+    """Return first and total indices, (2, quantities)."""
     require("scipy")
     from scipy.stats import sobol_indices
 

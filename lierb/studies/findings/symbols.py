@@ -1,4 +1,4 @@
-"""Labels of sampled numbers on an axis: `v₂ [m/s]`, not `initial.twist, 5 [m/s]`."""
+"""Label sampled numbers on an axis: `v₂ [m/s]`, not `initial.twist, 5 [m/s]`."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def _symbols(quantity: str, width: int, is_vector: bool, study: Study) -> list[s
     section, _, key = quantity.rpartition(".")
     first, _, of_link = section.partition(".")
     owner = ""
-    if of_link and first not in ELEMENTS:  # a quantity of a link, which has its name before it
+    if of_link and first not in ELEMENTS:  # a link's quantity, which begins with the link's name
         owner, quantity = f"{first}: ", f"{of_link}.{key}"
     elif first == "forces":
         owner = f"{of_link}: "

@@ -1,4 +1,4 @@
-"""Findings as tables for a terminal."""
+"""Format findings as tables for a terminal."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from lierb.studies.description.quantiles import CONFIDENCE, Quantile
 from lierb.studies.findings.findings import LABELS, QUANTILES, SettingErrors, orders
 from lierb.studies.findings.occurrences import Occurred
 from lierb.studies.findings.statistics import PROBABILITIES, Sensitivity, Spread
-from lierb.support.shown import rounded
+from lierb.support.representations import rounded
 
 if TYPE_CHECKING:
     from rich.table import Table

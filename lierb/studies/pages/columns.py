@@ -18,7 +18,7 @@ KNOWN = {  # columns that other figures have, or that are no results
 
 
 def other_columns(schema: pa.Schema, known: set[str]) -> list[pa.Field]:
-    """Columns of numbers without the sampled and the known ones, also of a mechanism's joints."""
+    """Return columns of numbers, neither sampled nor known, also of a mechanism's joints."""
     return [
         field for field in schema
         if field.name.rpartition(".")[2] not in known

@@ -1,4 +1,4 @@
-"""Interactive figure of the errors over the sampled numbers. Needs `lierb[report]`."""
+"""Draw the errors over the sampled numbers interactively, by the extra `lierb[report]`."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ require("report")
 import plotly.graph_objects as go  # noqa: E402
 
 SYMBOLS = ("circle", "diamond", "square", "x")  # markers, from the largest dt to the smallest
-POINTS = 3000  # most dots of a setting, beside its worst bodies
+POINTS = 3000  # most dots of a setting, in addition to its worst bodies
 WORST = 5  # bodies with the largest errors of each kind, which are always shown
 
 
@@ -80,7 +80,7 @@ def _raise_zeros(errors: list[Array], least: float) -> None:
 
 
 def _menu(axis: str, choices: dict[str, list[Array]], prefix: str, high: float) -> dict[str, Any]:
-    """Menu of the numbers on an axis.   choices : of each trace, by title.   high : ordinate."""
+    """Return an axis's menu of numbers.   choices : of each trace, by title.   high : ordinate."""
     buttons = [
         {
             "label": f"{axis}: {title}",
@@ -93,6 +93,6 @@ def _menu(axis: str, choices: dict[str, list[Array]], prefix: str, high: float) 
 
 
 def _chosen(errors: list[Array]) -> Array:
-    """Indices of the rows to draw: some, and the worst of each error."""
+    """Return the indices of the rows to draw: some, and the worst of each error."""
     worst = [np.argsort(-error, kind="stable")[:WORST] for error in errors]
     return np.unique(np.concatenate([some_rows(len(errors[0]), POINTS), *worst]))

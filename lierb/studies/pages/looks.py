@@ -1,4 +1,4 @@
-"""Colours and dashes of a study's settings in its figures."""
+"""Choose colours and dashes of a study's settings in its figures."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class Look:
 
 
 def step_sizes(study: Study) -> list[float]:
-    """Steps, or tolerances, of a study's settings, the largest first."""
+    """Return the steps, or tolerances, of a study's settings, the largest first."""
     return sorted({setting.step for setting in study.settings}, reverse=True)
 
 

@@ -1,4 +1,4 @@
-"""Figures over the bodies of a study: distributions, and errors over sampled numbers."""
+"""Draw figures over the bodies of a study: distributions, and errors over sampled numbers."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ IN_SUMMARY = KNOWN | {f"{measure.name}_{how}" for measure, how in KEPT}
 
 
 def distribution_sheet(dataset: Results, study: Study) -> Sheet:
-    """Distribution functions and histograms of the largest errors of the bodies."""
+    """Draw distribution functions and histograms of the largest errors of the bodies."""
     seen, least, shown = errors_seen(dataset, study), least_drawn(dataset, study), looks(study)
     panels: list[Draw] = []
     columns = dataset.table().schema.names
@@ -55,7 +55,7 @@ def distribution_sheet(dataset: Results, study: Study) -> Sheet:
 
 
 def quantity_sheet(dataset: Results, study: Study) -> Sheet:
-    """Histograms of the summary's other columns, such as those of observables."""
+    """Draw histograms of the summary's other columns, such as those of observables."""
     shown, panels = looks(study), []
     for field in other_columns(dataset.table().schema, IN_SUMMARY):
         rows = [_ridge(dataset, look, field.name, None) for look in shown]
@@ -100,7 +100,7 @@ def _draw_ridges(rows: list[Ridge], least: float, label: str, is_log: bool, pane
 
 
 def parameter_sheet(dataset: Results, study: Study) -> Sheet:
-    """Largest position error, or else rotation error or energy drift, against sampled numbers."""
+    """Draw the largest position or rotation error, or energy drift, over sampled numbers."""
     drawn = drawn_columns(dataset)
     kind, least = next(iter(errors_seen(dataset, study))), least_drawn(dataset, study)
     largest = [s for s in study.settings if s.step == step_sizes(study)[0]]

@@ -1,4 +1,4 @@
-"""Figure of the errors over the step, with the order of each method."""
+"""Draw the errors over the step, with the order of each method."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 def order_sheet(dataset: Results, study: Study) -> Sheet:
-    """Quantiles of the errors over dt, with a line of the method's order."""
+    """Draw quantiles of the errors over dt, with a line of the method's order."""
     seen, least = errors_seen(dataset, study), least_drawn(dataset, study)
     summaries = findings(dataset)
     spaces = list(dict.fromkeys((s.cspace, s.method) for s in study.settings))

@@ -1,4 +1,4 @@
-"""Figures over time: errors, other columns of the history, and events."""
+"""Draw figures over time: errors, other columns of the history, and events."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 HISTORY = {"position": "position_error", "rotation": "rotation_error", "energy": "energy_drift"}
-PERCENTILES = (5.0, 50.0, 95.0, 100.0)  # at each time
+PERCENTILES = (5.0, 50.0, 95.0, 100.0)  # quantiles drawn at each time
 RANKS = 2000  # most points of a distribution function
 IN_HISTORY = KNOWN | {measure.name for measure in MEASURES} - {"energy"}
 
 
 def time_sheet(dataset: Results, study: Study) -> Sheet:
-    """Errors over time: median, 5 to 95 % and largest of the bodies."""
+    """Draw errors over time: median, 5 to 95 % and largest of the bodies."""
     seen, least, shown = errors_seen(dataset, study), least_drawn(dataset, study), looks(study)
     panels = [
         partial(_draw_errors, dataset, shown, HISTORY[kind], least[kind], AXES[kind])
@@ -42,7 +42,7 @@ def time_sheet(dataset: Results, study: Study) -> Sheet:
 
 
 def recorded_sheet(dataset: Results, study: Study) -> Sheet:
-    """Other columns of the history over time, such as the energy and observables."""
+    """Draw other columns of the history over time, such as the energy and observables."""
     shown = looks(study)
     if not study.integrate.saves:
         return Sheet("", ())
@@ -133,6 +133,6 @@ def _draw_event(dataset: Results, study: Study, shown: list[Look], name: str, pa
 def _bands(
     dataset: Results, setting: Setting, name: str, of: Callable[[Any], Array] = np.asarray
 ) -> tuple[Array, Array]:
-    """Times, and the PERCENTILES of `of` the column at each, (4, times)."""
+    """Return times, and the PERCENTILES of `of` the column at each, (4, times)."""
     table = percentiles_over_time(dataset, name, setting, PERCENTILES, of=of)
     return as_array(table["t"]), np.stack([as_array(table[f"p{p:g}"]) for p in PERCENTILES])

@@ -17,10 +17,10 @@ from lierb.studies.description.study import Study
 from lierb.studies.findings.columns import ok_columns, rows_of
 from lierb.studies.findings.findings import ERRORS, errors_seen
 from lierb.studies.storage.parts import Part
-from lierb.studies.storage.results import IS_FINE, Results
+from lierb.studies.storage.results import IS_SUCCESS, Results
 
-FRAMES = 500  # of each trajectory
-MOST_SPACES = 2  # settings side by side
+FRAMES = 500  # frames of each trajectory
+MOST_SPACES = 2  # most settings side by side
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,9 @@ def chosen(dataset: Results, study: Study) -> Chosen | None:
     if worst is not None:
         return Chosen(worst[2], _beside(study, worst[1]), kind)
     for setting in study.settings:
-        rows = dataset.table().head(1, columns=["trajectory"], filter=rows_of(setting) & ~IS_FINE)
+        rows = dataset.table().head(
+            1, columns=["trajectory"], filter=rows_of(setting) & ~IS_SUCCESS
+        )
         if rows.num_rows:
             return Chosen({"failed": rows["trajectory"][0].as_py()}, _beside(study, setting), None)
     return None

@@ -21,9 +21,9 @@ from lierb.studies.findings.findings import (
     LABELS,
     QUANTILES,
     SettingErrors,
+    crossings,
     errors_seen,
     findings,
-    happened,
     indices,
     orders,
     quantities,
@@ -33,10 +33,10 @@ from lierb.studies.findings.statistics import PROBABILITIES
 from lierb.studies.findings.tables import first_time, with_interval, with_unit
 from lierb.studies.pages.replays import chosen, description_of, replayed
 from lierb.studies.storage.parts import Parts
-from lierb.studies.storage.results import IS_FINE, Results, setting_columns
+from lierb.studies.storage.results import IS_SUCCESS, Results, setting_columns
 from lierb.support.extras import require
 from lierb.support.files import require_page, write_whole
-from lierb.support.shown import rounded
+from lierb.support.representations import rounded
 
 require("report")
 import jinja2  # noqa: E402
@@ -49,7 +49,7 @@ from lierb.studies.pages.figures import CAPTIONS, omitted, sheets  # noqa: E402
 
 TEMPLATE = "report.html"
 FAILED = 20  # most failed bodies that are listed
-HEIGHT = {1: 560, 2: 620, 3: 760, 4: 760}  # of the animation by its views, pixels
+HEIGHT = {1: 560, 2: 620, 3: 760, 4: 760}  # height of the animation by its number of views, pixels
 
 
 @dataclass(frozen=True)
@@ -104,7 +104,7 @@ def _values_of_run(dataset: Results, study: Study) -> dict[str, Any]:
 
 
 def _values_of_findings(dataset: Results, study: Study) -> dict[str, Any]:
-    """Values of the template about the results."""
+    """Return the values of the template about the results."""
     summaries, seen, end = findings(dataset), errors_seen(dataset, study), study.integrate.t_end
     return {
         "failed": dataset.failures(),
@@ -117,7 +117,7 @@ def _values_of_findings(dataset: Results, study: Study) -> dict[str, Any]:
             (each.setting, with_unit(each), [with_interval(q[1:]) for q in each.quantiles])
             for each in quantities(dataset)
         ],
-        "events": [(each, [first_time(q, end) for q in each.first]) for each in happened(dataset)],
+        "events": [(each, [first_time(q, end) for q in each.first]) for each in crossings(dataset)],
         "indices": [
             (*each[:3], with_interval(each.first, ".3f"), with_interval(each.total, ".3f"))
             for each in indices(dataset)
@@ -131,7 +131,7 @@ def _values_of_findings(dataset: Results, study: Study) -> dict[str, Any]:
 
 
 def _steps_done(dataset: Results, study: Study) -> int:
-    """Number of steps of all bodies, rejected ones included."""
+    """Return the number of steps of all bodies, rejected ones included."""
     table = dataset.table()
     if not study.has_lane_clocks:
         return Parts(study).work(dataset.parts)
@@ -140,7 +140,7 @@ def _steps_done(dataset: Results, study: Study) -> int:
 
 
 def _predictions(study: Study) -> list[tuple[str, Prediction]]:
-    """Predictions for each joint of the first body; [] if no theorem applies."""
+    """Return predictions for each joint of the first body; [] if no theorem applies."""
     try:
         first = study.batch(0, 1).first
         return list(joint_by_joint(predict(*first, update=study.integrate.update)))
@@ -213,5 +213,5 @@ def _failures(dataset: Results) -> list[dict[str, Any]]:
     """Return rows of the first bodies that failed."""
     table = dataset.table()
     columns = [*setting_columns(table.schema), "trajectory", "status", "t"]
-    rows: list[dict[str, Any]] = table.head(FAILED, columns=columns, filter=~IS_FINE).to_pylist()
+    rows: list[dict[str, Any]] = table.head(FAILED, columns=columns, filter=~IS_SUCCESS).to_pylist()
     return [{"setting": Setting.of_row(row).label, **row} for row in rows]

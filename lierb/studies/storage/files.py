@@ -66,7 +66,7 @@ def part_named(file: str) -> str | None:
 
 
 def parquet_in(folder: Path) -> Iterator[str]:
-    """Paths of all Parquet files in the tables' folders that a reader of the folder opens."""
+    """Return all Parquet files in the tables' folders that a reader of the folder opens."""
     for table in TABLES:
         for root, inner, files in os.walk(folder / table):
             inner[:] = [name for name in inner if name[0] not in "._"]

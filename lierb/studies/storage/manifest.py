@@ -1,4 +1,4 @@
-"""Manifest of a study's results: JSON with a checksum of itself.
+"""Read and write the manifest of a study's results: JSON with a checksum of itself.
 
 Keys: `format`; `digest` of the study; `text`, SHA-256 of a study.toml that a run wrote, None where
 the user's own was there; `study`, its tables; `set`, the changes of the study's file; `machine`;
@@ -27,12 +27,12 @@ Manifest = dict[str, Any]
 
 
 def file_of(table: str, part: str) -> str:
-    """Path of a part's file, relative to the folder."""
+    """Return the path of a part's file, relative to the folder."""
     return f"{table}/part-{part}.parquet"
 
 
 def sealed(manifest: Manifest) -> bytes:
-    """Text of a manifest with its checksum."""
+    """Return the text of a manifest with its checksum."""
     whole = {key: value for key, value in manifest.items() if key != CHECKSUM}
     return (json.dumps(whole | {CHECKSUM: _checksum(whole)}, indent=1) + "\n").encode()
 
@@ -58,7 +58,7 @@ def read_manifest(path: Path) -> Manifest:
         raise
     except OSError as error:
         raise StudyFileError(f"{path} cannot be read: {error.strerror}") from error
-    except (ValueError, RecursionError) as error:  # no JSON, or no text
+    except (ValueError, RecursionError) as error:  # neither JSON nor text
         raise StudyError(f"{path} is damaged ({error}); {ANEW}") from None
     if not is_whole:
         raise StudyError(f"{path} was edited or damaged: its checksum is wrong; {ANEW}")

@@ -1,4 +1,4 @@
-"""Parts of a study: a range of bodies in one setting, and its tables."""
+"""Divide a study into parts: ranges of bodies in one setting, each with its tables."""
 
 from __future__ import annotations
 
@@ -144,13 +144,13 @@ class Parts:
 
 
 def part_size(study: Study) -> int:
-    """Number of bodies in a part: the study's, or fewer if their history would fill the memory."""
+    """Return the number of bodies in a part: the study's, or fewer if the memory is short."""
     run = study.integrate
     if study.has_lane_clocks:
         return max(1, min(study.output.part, int(HISTORY_BYTES / max(1, bytes_of_body(study)))))
     if run.save_every is None:
         return study.output.part
-    links, joints = max(1, len(study.problem.links)), len([*study.problem.held()])
+    links, joints = max(1, len(study.problem.links)), len([*study.problem.links_and_loops()])
     row = HISTORY_ROW_BYTES + JOINT_BYTES * joints + STATE_BYTES * links * ("state" in run.record)
     rows = (run.t_end - run.t0) / min(run.dt) / run.save_every + 2
     return max(1, min(study.output.part, int(HISTORY_BYTES / row / rows)))
@@ -164,7 +164,7 @@ def bytes_of_body(study: Study) -> int:
 
 
 def saved_rows(study: Study) -> int:
-    """Number of a trajectory's rows in the history, in the setting with most of them."""
+    """Return the number of a trajectory's rows in the history, in the setting with most of them."""
     run = study.integrate
     if run.times is not None:
         return len(run.times)
@@ -186,5 +186,5 @@ def _with_draws(table: pa.Table, study: Study, batch: Batch) -> pa.Table:
 
 
 def _column(values: Array) -> pa.Array:
-    """Column of numbers, or of flat lists of a body's numbers."""
+    """Return a column of numbers, or of flat lists of a body's numbers."""
     return numbers(values) if values.ndim == 1 else vectors(values.reshape(len(values), -1))

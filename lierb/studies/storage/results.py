@@ -1,4 +1,4 @@
-"""Reading a study's folder: its manifest, and the tables of its finished parts."""
+"""Read a study's folder: its manifest, and the tables of its finished parts."""
 
 from __future__ import annotations
 
@@ -14,25 +14,25 @@ import pyarrow.dataset as ds
 import pyarrow.parquet as pq
 
 from lierb.errors import LierbError, StudyError
-from lierb.results.failures import COLUMNS, FINE, Failures
+from lierb.results.failures import COLUMNS, SUCCESSES, Failures
 from lierb.studies.description.code import Code, read_code
 from lierb.studies.description.settings import Setting
 from lierb.studies.description.study import Study
 from lierb.studies.storage.manifest import Manifest, file_of, read_manifest
 from lierb.support.files import RESUME, as_it_is, folder_of, sha256_of
-from lierb.support.shown import Shown
+from lierb.support.representations import Represented
 
 MANIFEST = "manifest.json"
 STUDY = "study.toml"
-IS_FINE = pc.field("status").isin(FINE)  # rows of trajectories that ended as they should
+IS_SUCCESS = pc.field("status").isin(SUCCESSES)  # rows of trajectories that ended as they should
 
 
 def setting_columns(schema: pa.Schema) -> list[str]:
-    """Names of the columns that identify a row's setting."""
+    """Return the names of the columns that identify a row's setting."""
     return ["cspace", "method", "rtol" if "rtol" in schema.names else "dt"]
 
 
-class Results(Shown):
+class Results(Represented):
     """Finished parts of the study in a folder.
 
     Parameters and errors are those of `lierb.studies.dataset.Dataset`.
@@ -72,7 +72,7 @@ class Results(Shown):
     # ---- study -----------------------------------------------------------------------------------
 
     def study_text(self, digest: str | None = None) -> str | None:
-        """Text of study.toml; None if there is none.
+        """Return the text of study.toml; None if there is none.
 
         digest : of the study that the file must describe, by default the manifest's.
         Raises StudyError where it describes another one.
@@ -83,8 +83,8 @@ class Results(Shown):
         entered = self.manifest.get("digest") == digest and self.manifest.get("text")
         if sha256_of(path) != entered and not _describes(path, digest):
             raise StudyError(
-                f"{path} says another study than the one that the folder is for, and is not "
-                "written over; move it elsewhere, or choose another folder"
+                f"{path} says another study than that of the folder, and is not "
+                "overwritten; move it elsewhere, or choose another folder"
             )
         return path.read_text(encoding="utf-8")
 
@@ -104,8 +104,8 @@ class Results(Shown):
             path = self.folder / file
             if os.path.lexists(path) and sha256_of(path) != digest:
                 raise StudyError(
-                    f"{path} is not the file that the study is run with: one of the two was edited "
-                    "since; restore it, or choose another folder for the results"
+                    f"{path} is not the file that the study is run with: one of the two was "
+                    "edited; restore it, or choose another folder for the results"
                 )
         return [file for file in digests if not os.path.lexists(self.folder / file)]
 
@@ -173,7 +173,7 @@ class Results(Shown):
 
     @property
     def trajectories(self) -> int:
-        """Number of rows of the summary, by the manifest."""
+        """Return the number of rows of the summary, by the manifest."""
         return sum(entry["rows"] for _, entry in self._summaries())
 
     def rest(self, remedy: str) -> str:
@@ -198,7 +198,7 @@ class Results(Shown):
         self._require_whole([failing[0][0]])
         table = ds.dataset(str(self.folder / failing[0][0]), format="parquet")
         columns = [*setting_columns(table.schema), *COLUMNS]
-        (row,) = table.head(1, columns=columns, filter=~IS_FINE).to_pylist()
+        (row,) = table.head(1, columns=columns, filter=~IS_SUCCESS).to_pylist()
         setting, first = Setting.of_row(row), {name: row[name] for name in COLUMNS}
         counts: Counter[str] = Counter()
         for _, failed in failing:
@@ -206,7 +206,7 @@ class Results(Shown):
         return Failures(self.trajectories, dict(counts), **first, setting=setting.label)
 
     def _summaries(self) -> Iterator[tuple[str, dict[str, Any]]]:
-        """Files of the summary, setting by setting, and their entries in the manifest."""
+        """Yield the files of the summary, setting by setting, and their entries in the manifest."""
         for part, files in sorted(self.parts.items()):
             yield (name := file_of("summary", part)), files[name]
 

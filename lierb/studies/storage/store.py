@@ -1,4 +1,4 @@
-"""Writing a study's folder: its lock, files and manifest."""
+"""Write a study's folder: its lock, files and manifest."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ class Store(Results):
             raise StudyError(
                 f"{self.folder} is being written by another run, which holds {path}"
             ) from None
-        except (OSError, NotImplementedError) as error:  # another user's, or no locks there
+        except (OSError, NotImplementedError) as error:  # another user's, or without locks
             raise StudyFileError(f"{path} cannot be locked: {reason(error)}; {LOCKABLE}") from error
         try:
             yield
@@ -87,11 +87,11 @@ class Store(Results):
     # ---- study -----------------------------------------------------------------------------------
 
     def begin(
-        self, study: Study, text: str, asked: int, changes: Mapping[str, Any] | None = None
+        self, study: Study, text: str, parts: int, changes: Mapping[str, Any] | None = None
     ) -> None:
         """Write the manifest of a study without parts, its study.toml and its Python files.
 
-        text : of study.toml.   asked : number of parts.   Files of an earlier study without parts
+        text : of study.toml.   parts : number of parts.   Files of an earlier study without parts
         are replaced. Raises StudyError for a study.toml or Python file of the user's that differs.
         """
         begun = self.manifest.get("code", {}) | {STUDY: self.manifest.get("text")}
@@ -101,11 +101,11 @@ class Store(Results):
         self.manifest = {
             "format": FORMAT, "digest": study.digest(),
             "text": None if is_there else sha256_of_text(text), "study": study.model_dump(),
-            "set": dict(changes or {}), "machine": machine(), "asked": asked, "parts": {},
+            "set": dict(changes or {}), "machine": machine(), "asked": parts, "parts": {},
         }  # fmt: skip
         if study.files:
             self.manifest |= {"code": study.code_digests, "functions": study.fingerprints()}
-        self._write_manifest()  # first: a study.toml without one is the user's
+        self._write_manifest()  # the manifest first: a study.toml without one is the user's
         for file in missing:
             self.write(file, study.code[file].encode())
         if not is_there:

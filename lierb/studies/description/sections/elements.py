@@ -137,7 +137,7 @@ class ProblemSection(Section):
             for element in getattr(self, table):
                 yield table, element
 
-    def held(self) -> Iterator[LinkSection | LoopSection]:
+    def links_and_loops(self) -> Iterator[LinkSection | LoopSection]:
         """Yield the links, then the loops."""
         yield from self.links
         yield from self.loops

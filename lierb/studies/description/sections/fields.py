@@ -41,7 +41,7 @@ def _as_whole(value: Any) -> Any:
 
 
 def _one_or_several(kind: str) -> tuple[Any, Any]:
-    """Validator and schema of a list; a list of one item may be written as the item."""
+    """Return validator and schema of a list; a list of one item may be written as the item."""
     one = {"type": kind}
     return BeforeValidator(_as_list), WithJsonSchema(
         {"anyOf": [one, {"type": "array", "items": one}]}

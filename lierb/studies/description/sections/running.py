@@ -60,12 +60,12 @@ class IntegrateSection(Section):
 
     @property
     def times(self) -> Array | None:
-        """Times of the history's rows, s; None unless `save_at` is set."""
+        """Return the times of the history's rows, s; None unless `save_at` is set."""
         return None if self.save_at is None else saved_times(self.save_at, self.t0, self.t_end)
 
     @property
     def steps(self) -> list[tuple[float | None, float | None]]:
-        """Pairs (dt, rtol): rtol is None for fixed steps; dt may be None for adaptive steps."""
+        """Return (dt, rtol) pairs: rtol is None for fixed steps, dt may be for adaptive ones."""
         if not self.is_adaptive:
             return [(dt, None) for dt in self.dt]
         first = self.dt[0] if self.dt else None

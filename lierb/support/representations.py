@@ -1,4 +1,4 @@
-"""Descriptions of objects: text at a prompt, a table in a notebook."""
+"""Describe objects: as text at a prompt, as a table in a notebook."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ CELL = "text-align: left; vertical-align: top; white-space: pre-wrap"
 LOUD = "color: #b00020; font-weight: bold"
 
 
-class Shown:
-    """Object with a description: `_shown` returns a title and labelled lines."""
+class Represented:
+    """Object with a description: `_representation` returns a title and labelled lines."""
 
-    def _shown(self) -> tuple[str, Lines]:
+    def _representation(self) -> tuple[str, Lines]:
         raise NotImplementedError
 
     def __repr__(self) -> str:
-        return as_text(*self._shown())
+        return as_text(*self._representation())
 
     def _repr_html_(self) -> str:
-        return as_html(*self._shown())
+        return as_html(*self._representation())
 
 
 def as_text(title: str, rows: Lines) -> str:
@@ -61,7 +61,7 @@ def counted(count: int, what: str, several: str = "") -> str:
     return f"{count} {what if count == 1 else several or f'{what}s'}"
 
 
-def steps_told(options: Mapping[str, Any]) -> str:
+def steps_text(options: Mapping[str, Any]) -> str:
     """Format the tolerance or the step size of a run, from the options in its metadata."""
     return f"rtol = {options['rtol']:g}" if options.get("rtol") else f"dt = {options['dt']:g} s"
 

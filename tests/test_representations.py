@@ -13,7 +13,7 @@ import lierb
 from lierb import joints
 from lierb.studies.dataset import Dataset
 from lierb.studies.storage.store import Store
-from lierb.support import shown
+from lierb.support import representations
 
 BODY = lierb.Body(mass=6.075, inertia=(0.0126563, 0.0468281, 0.0569531))
 JOINT = joints.spherical(body_point=(-0.15, 0.0375, 0.0))
@@ -59,7 +59,7 @@ def things(tmp_path):
 
 def test_html_has_what_text_has(tmp_path):
     for name, thing in things(tmp_path).items():
-        title, rows = thing._shown()
+        title, rows = thing._representation()
         table = Table(thing._repr_html_())
         assert repr(thing).splitlines()[0] == title, name
         assert table.rows == [list(row) for row in rows], name
@@ -148,8 +148,8 @@ def test_names_of_the_users_are_escaped():
 
 
 def test_failures_stand_out():
-    page = shown.as_html("a run", [("failed", "2 of 5"), ("history", "none")])
-    assert page.count(shown.LOUD) == 2  # label and text
+    page = representations.as_html("a run", [("failed", "2 of 5"), ("history", "none")])
+    assert page.count(representations.LOUD) == 2  # label and text
 
 
 @pytest.mark.parametrize(
@@ -163,7 +163,7 @@ def test_failures_stand_out():
     ],
 )
 def test_quantity_is_a_value_or_a_range(array, item_axes, text):
-    assert shown.quantity(array, "m", item_axes) == text
+    assert representations.quantity(array, "m", item_axes) == text
 
 
 # ---- completion --------------------------------------------------------------------------------
