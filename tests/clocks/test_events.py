@@ -495,6 +495,7 @@ def test_what_rests_on_zero_and_falls_ends_at_once(clock):
         assert result.events.num_rows == 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("clock", [{"rtol": 1e-6, "dt_max": 0.1}, {"dt": 0.05}], ids=str)
 def test_what_passes_zero_at_its_start_goes_on(clock):
     """sin ωt passes zero at t = 0; a turn later it does so again, in the same direction."""

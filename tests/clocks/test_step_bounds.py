@@ -196,6 +196,7 @@ def test_integrate_meets_damped_stops():
             assert angle == pytest.approx(side * (place - left * speed * rest), abs=1e-6)
 
 
+@pytest.mark.slow
 def test_integrate_follows_a_spring_past_half_a_turn():
     """A torsional spring jumps half a turn from where it is slack. Energy is kept across the jump,
     ½k(π)² on both sides; a wheel that turns through has a period by quadrature.
@@ -226,6 +227,7 @@ def tooth(R, params):
     return np.sin(params.teeth * np.arctan2(R[1, 0], R[0, 0]))
 
 
+@pytest.mark.slow
 def test_integrate_counts_every_turn_of_a_free_rotor():
     """5 rad/s for 100 s are 79.6 turns; found were 6 of 79 crossings at rtol 1e-6, 4 at 1e-9."""
     problem = rotor(events=(upright(), tooth()))
@@ -261,7 +263,13 @@ def gained(result) -> np.ndarray:
     return result.omega[:, 2]
 
 
-@pytest.mark.parametrize("steps", [{"rtol": 1e-3}, {"rtol": 1e-9}, {"dt": 0.1, "method": "DOP853"}])
+@pytest.mark.parametrize(
+    "steps",
+    [
+        {"rtol": 1e-3}, {"rtol": 1e-9},
+        pytest.param({"dt": 0.1, "method": "DOP853"}, marks=pytest.mark.slow),
+    ],
+)  # fmt: skip
 def test_discontinuities_are_met_by_steps(steps):
     """A torque of 1 N m for 1 s, somewhere in 100 s, gives 1/Θ rad/s, to rounding."""
     problem = rotor(forces=pulse(on=50.0, off=51.0))
@@ -272,6 +280,7 @@ def test_discontinuities_are_met_by_steps(steps):
         assert gained(result)[0] - start == pytest.approx(1.0 / INERTIA, rel=1e-13)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("steps", [{"rtol": 1e-6}, {"dt": 100 / 777, "method": "DOP853"}])
 def test_discontinuities_of_a_wrench_are_each_trajectory_s_own(steps):
     on, off = np.array([50.0, 20.0, 99.0, 0.0, 3.0]), np.array([51.0, 20.1, 100.0, 1e-3, 3.0])

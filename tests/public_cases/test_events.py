@@ -111,6 +111,7 @@ def at(x) -> np.ndarray:
     return pose
 
 
+@pytest.mark.slow
 def test_c44_a_sampled_relay_draws_parabolas():
     """bullet3#2831: discontinuous control. Right: constant acceleration from tick to tick."""
     x, v, seen = 0.3517, 0.2, [0.3517]
@@ -208,6 +209,7 @@ def passes(rate, t_end) -> np.ndarray:
     return np.arange(1, 1 + int(rate * t_end / (2 * np.pi))) * 2 * np.pi / rate
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rtol", [1e-3, 1e-6, 1e-9])
 @pytest.mark.parametrize("method", [None, "DP54"])
 def test_c53_revolutions_are_all_counted(method, rtol):
@@ -234,6 +236,7 @@ def pulse(t, R, r, omega, v, params):
     return (0.0, 0.0, lierb.where(on, params.torque, 0.0)), (0.0, 0.0, 0.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rtol", [1e-6, 1e-9])
 @pytest.mark.parametrize(
     ("begin", "end", "t_end"), [(1.0, 2.0, 10.0), (1.0, 2.0, 1000.0), (7.0, 7.001, 100.0)]

@@ -79,6 +79,7 @@ def mainspring(t, R, r, omega, v, params, states):
     return np.array([0.0, 0.0, -params.stiffness * states.turned]), np.zeros(3)
 
 
+@pytest.mark.slow
 def test_c27_a_counted_angle_winds_a_spring_by_many_turns():
     """PhysX#243, bullet3#42. Right: a cosine, of up to 16 turns; a state counts them."""
     held, start = lierb.joints.revolute(), np.array([1.0, 10.0, 100.0])

@@ -43,11 +43,12 @@ SPEEDS = np.linspace(1.0, 20.0, 20)  # rad/s
 
 METHODS = [
     "DOP853",
-    pytest.param("DP54", marks=pytest.mark.slow),
+    "DP54",
     *(pytest.param(name, marks=pytest.mark.long) for name in ("Tsit5", "BS32")),
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rtol", [1e-6, 1e-8])
 @pytest.mark.parametrize("method", METHODS)
 def test_c49b_wide_stops_turn_every_wheel_back(method, rtol):
