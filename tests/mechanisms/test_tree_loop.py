@@ -57,7 +57,8 @@ def start_of(mechanism, count=4, speed=2.0):
     rng = np.random.default_rng(1)
 
     def drawn(size):
-        widths = {link.name: len(link.joint.coordinate_names) for link in mechanism.links}
+        moving = [link for link in mechanism.links if link.joint.name in MOTIONS]
+        widths = {link.name: len(link.joint.coordinate_names) for link in moving}
         return {n: rng.uniform(-size, size, (count, width)) for n, width in widths.items() if width}
 
     pose0 = mechanism.pose(drawn(1.0))
@@ -118,6 +119,19 @@ def test_every_joint_moves_as_by_unrolled_formulas(method):
 def test_random_trees_move_as_by_unrolled_formulas(seed):
     rng = np.random.default_rng(seed)
     agree(tree_of(rng.choice(MOTIONS, 2 + 2 * seed), seed))
+
+
+def test_links_on_fixed_joints_move_with_their_parents():
+    agree(tree_of(("revolute", "fixed", "universal", "fixed", "spherical", "fixed", "revolute")))
+
+
+@lierb.wrench(stiffness=2.0)
+def swaying(t, R, r, omega, v, params):
+    return -0.1 * omega, R.T @ np.array((np.sin(3.0 * t), 0.0, -params.stiffness * r[2]))
+
+
+def test_a_users_force_acts_as_in_unrolled_formulas():
+    agree(tree_of(SIX, forces=(swaying().on("link3"), swaying(stiffness=1.0).on("link5"))))
 
 
 def test_forces_act_as_in_unrolled_formulas():
