@@ -1,0 +1,128 @@
+"""Measures of a tree in memory."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from lierb.kernels.mechanics import tree_nodes
+from lierb.kernels.mechanics.tree_nodes import JointKind
+from lierb.kernels.numbers.arithmetic import maximum, plain, where
+from lierb.kernels.numbers.zero import ZERO, is_zero
+from lierb.kernels.systems import tree_table as at
+from lierb.kernels.systems.measures import JOINT_ERRORS, JOINT_KEPT, Observed, orthogonality_squared
+from lierb.kernels.systems.plan import ElementKind
+from lierb.kernels.systems.state import State
+from lierb.kernels.systems.tree_loop_steps import LoopSteps
+from lierb.kernels.systems.tree_memory import LoopBody, MemoryElement, MemoryNode, MemoryTree
+from lierb.kernels.systems.tree_table import slopes_of
+from lierb.kernels.tracing.arrays import Index
+from lierb.kernels.tracing.memory import for_each
+
+NAN = float("nan")
+ENERGY, ORTHOGONALITY, ERRORS = 0, 1, 2  # rows of sums
+
+
+class LoopMeasures(LoopSteps):
+    """Motion, energy, errors of the joints."""
+
+    def motion(self, body: LoopBody, state: State, time: Any) -> None:
+        """Store the motion of the nodes at the state."""
+        tree = self._tree(body)
+        self._stay(tree)
+        self._call_place(tree, self._spare(tree), is_whole=True)
+
+    def _spare(self, tree: MemoryTree) -> Index:
+        """Rows of all slopes of a step, behind which those of a state at rest are."""
+        return tree[at.FREEDOMS] * slopes_of(self.plan)
+
+    def _stay(self, tree: MemoryTree) -> None:
+        """Make the state the stage."""
+        x, v, stage = (tree.section(name) for name in (at.X_ROW, at.V_ROW, at.STAGE_ROW))
+
+        def copy(i: Index) -> None:
+            x.put(i, 0.0)
+            stage.put(i, v[i])
+
+        for_each(tree[at.FREEDOMS], copy)
+
+    def observed(self, body: LoopBody, motion: None, time: Any) -> tuple[Any, ...]:
+        return ()
+
+    def dropped(self, body: LoopBody, state: State) -> Any:
+        return ZERO
+
+    def measured(
+        self, body: LoopBody, state: State, motion: None, time: Any, first_energy: Any = ZERO
+    ) -> Observed:
+        """Return every measure; store the errors of the joints."""
+        self._run("measure", body, self._measure)
+        sums = self._tree(body).section(at.SUMS_ROW)
+        energy, orthogonality, *errors = sums[0 : ERRORS + len(JOINT_ERRORS)]
+        names = (measure.name for measure in JOINT_ERRORS)
+        values = dict(zip(names, errors, strict=True)) | {
+            "energy": energy,
+            "energy_drift": energy - first_energy - state.work,
+            "work": state.work,
+            "orthogonality_error": orthogonality,
+        }
+        return Observed(values)
+
+    def _measure(self, tree: MemoryTree) -> None:
+        sums, gravity = tree.section(at.SUMS_ROW), tree.ground.constants[0:3]
+        sums.put(0, *(0.0,) * at.SUMS)
+
+        def one(node: MemoryNode) -> None:
+            constants, here = node.constants, node.motion
+            own = tree_nodes.energy(constants, node.details, here, gravity)
+            off = orthogonality_squared(here[0:9])
+            sums.put(ENERGY, sums[ENERGY] + own, maximum(sums[ORTHOGONALITY], off))
+            errors = node.part(at.ERRORS_ROW, len(JOINT_ERRORS), node.entry(at.LINK))
+
+            def do(joint: JointKind) -> None:
+                if joint.role == tree_nodes.MASSLESS:
+                    return  # measured with the next node
+                d, moving = node.on_joint(joint)
+                pitch = joint.kind.pitch(constants)
+                squares = tree_nodes.errors_squared(joint.rows, d, moving, pitch)
+                errors.put(0, *squares)
+                for row, square in enumerate(squares, ERRORS):
+                    if not is_zero(square):
+                        sums.put(row, maximum(sums[row], square))
+
+            node.each_joint(do)
+
+        def potential(element: MemoryElement) -> None:
+            node, other = element.node.motion, element.other.motion
+
+            def do(kind: ElementKind) -> None:
+                outer, placed = element.placed(kind)
+                x, _ = tree_nodes.between(outer, node, other, ZERO)  # no potential depends on time
+                energy = kind.element.energy(placed, x)
+                if not is_zero(energy):
+                    sums.put(ENERGY, sums[ENERGY] + energy)
+
+            element.each_kind(do)
+
+        tree.for_nodes(one)
+        tree.for_elements(potential)
+
+    def keep_errors(self, body: LoopBody, alive: Any, now: Any) -> None:
+        """Update JOINT_KEPT of every joint in memory by the errors that `measured` has stored.
+
+        now : mask of the lanes to update.
+        """
+        tree = self._tree(body)
+
+        def one(link: Index) -> None:
+            errors = tree.rows(tree[at.ERRORS_ROW] + link * len(JOINT_ERRORS))
+            kept = tree.rows(tree[at.KEPT_ROW] + link * len(JOINT_KEPT))
+            for row, (measure, how) in enumerate(JOINT_KEPT):
+                square = errors[JOINT_ERRORS.index(measure)]
+                old = kept[row]
+                if how == "final":
+                    new = where(alive, plain(square), NAN)
+                else:
+                    new = where(alive, maximum(old, square), old)
+                kept.put(row, where(now, new, old))
+
+        for_each(tree[at.LINKS], one)

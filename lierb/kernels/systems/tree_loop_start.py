@@ -1,0 +1,248 @@
+"""Constants, starts and states of a tree in memory."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from math import prod
+from typing import Any
+
+from lierb.kernels.groups import se3
+from lierb.kernels.mechanics import subgroup, tree_nodes
+from lierb.kernels.mechanics.spatial import Pose, Rigid, twist_at
+from lierb.kernels.mechanics.tree import FREE, GROUND, HERE, Node, NodeConstants
+from lierb.kernels.mechanics.tree_nodes import MOTION, JointKind, Kind
+from lierb.kernels.numbers.arithmetic import flatten, load, where
+from lierb.kernels.numbers.vec import IDENTITY, ZERO3, ZERO6, ZERO9, Vec, sub
+from lierb.kernels.numbers.zero import ZERO, is_zero
+from lierb.kernels.systems import tree_table as at
+from lierb.kernels.systems.layout import Columns, pose_of
+from lierb.kernels.systems.measures import JOINT_KEPT
+from lierb.kernels.systems.plan import ElementKind
+from lierb.kernels.systems.state import State
+from lierb.kernels.systems.tree_inputs import (
+    JOINT,
+    LINK,
+    START,
+    chart_of,
+    factored,
+    given_start,
+    node_constants,
+    placed_on,
+)
+from lierb.kernels.systems.tree_memory import (
+    LoopBody,
+    MemoryElement,
+    MemoryNode,
+    MemoryTree,
+    TreeInMemory,
+)
+from lierb.kernels.systems.tree_table import placed_shape
+from lierb.kernels.tracing.arrays import Index
+from lierb.kernels.tracing.memory import Rows, for_each, switch
+
+NOTHING = Rigid(ZERO, ZERO3, ZERO9)  # of a massless node
+WIDTHS = tuple(Columns(*fields).count for fields in (LINK, JOINT, START))
+_PAIR = (Node(GROUND, 1, "reduced", FREE, ()), Node(0, 0, "reduced", FREE, ()))
+
+
+class LoopStart(TreeInMemory):
+    """Constants, starts and states in memory."""
+
+    def placed(self, body: LoopBody, numbers: list[Any]) -> tuple[()]:
+        return ()
+
+    def pose_check(self, numbers: list[Any], time: Any) -> tuple[()]:
+        return ()
+
+    def is_on_joint(self, check: tuple[()], numbers: list[Any], time: Any) -> Any:
+        """Return 1: `Mechanism.violation` examines starts before they are packed."""
+        return 1.0
+
+    def state_of(self, numbers: Sequence[Any], body: LoopBody | None = None) -> State:
+        v, work = numbers
+        return State((), (), (v,), work if self.plan.does_work else ZERO)
+
+    def loaded(self, inputs: Any, table: Any, memory: Any) -> LoopBody:
+        """Load the constants of all nodes from the inputs into memory."""
+        tree = MemoryTree(self.plan, table.address, memory.address)
+        ground = tree.ground
+
+        def numbers(first: Index, count: int) -> Vec:
+            return tuple(load(inputs, (first + i, 0), self.plan.lanes) for i in range(count))
+
+        gravity = numbers(tree[at.GRAVITY_COLUMN], 3)
+        tree_nodes.set_ground(gravity, ground.motion, ground.details)
+        ground.constants.put(0, *gravity)
+
+        def one(node: MemoryNode) -> None:
+            number = node.entry(at.LINK)
+            own = numbers(number * WIDTHS[0], WIDTHS[0])
+            held = numbers(tree[at.JOINT_COLUMN] + number * WIDTHS[1], WIDTHS[1])
+            parts = Columns(*LINK).parts(own) | Columns(*JOINT).parts(held)
+            read = {f"0.{name}": part for name, part in parts.items()}
+            frame = tree_nodes.frame_of(node.parent.details)
+            read["1.body_frame"] = frame[0] + frame[1]
+            found = node_constants(_PAIR, 1, read)
+
+            nothing = NodeConstants(NOTHING, NOTHING.inertia, ZERO3, found.hang, ZERO3, HERE, ZERO)
+            cases = (found, nothing, found._replace(hang=HERE))  # by role
+            into = node.constants, node.details
+            switch(node.entry(at.ROLE), cases, lambda n: tree_nodes.store_constants(n, *into))
+
+        tree.for_nodes(one)
+        tree.for_elements(lambda element: self._load_element(element, numbers))
+        first = tree.node(tree[at.NODES] * 0 + 1)
+        sums = tree.section(at.SUMS_ROW)
+        sums.put(0, 0.0, 0.0)
+
+        def weigh(node: MemoryNode) -> None:
+            _, inertia = tree_nodes.com_and_inertia(node.details)
+            trace = inertia[0] + inertia[4] + inertia[8]
+            sums.put(0, sums[0] + node.constants[tree_nodes.MASS], sums[1] + trace)
+
+        tree.for_nodes(weigh)
+        girth = 0.5 * sums[1] / sums[0]
+        mass = first.constants[tree_nodes.MASS]
+        return LoopBody(tree.table, tree.memory, mass, gravity, girth)
+
+    def _load_element(self, element: MemoryElement, numbers: Callable[[Index, int], Vec]) -> None:
+        tree, node = element.tree, element.node
+        first = tree[at.JOINT_COLUMN] + element.entry(at.ON_JOINT) * WIDTHS[1]
+        joint = Columns(*JOINT).parts(numbers(first, WIDTHS[1]))
+        constants, details = node.constants, node.details
+        mass, (com, inertia) = constants[tree_nodes.MASS], tree_nodes.com_and_inertia(details)
+        frame, other = (tree_nodes.frame_of(each.details) for each in (node, element.other))
+
+        def do(kind: ElementKind) -> None:
+            own, ground, outer = frame, HERE if kind.on_ground else other, HERE
+            if kind.on_joint:
+                own, ground = pose_of(joint["body_frame"]), pose_of(joint["ground_frame"])
+                outer = se3.compose(se3.inverse(other), ground)
+            column, given = element.entry(at.COLUMN), {}
+            for name, shape in kind.element.shapes.items():
+                found = numbers(column, prod(shape))
+                given[name], column = found if shape else found[0], column + prod(shape)
+            placed = placed_on(kind.element, given, mass, inertia, com, frame, own, ground)
+            pairs = zip(flatten(placed), flatten(placed_shape(kind)), strict=True)
+            stored = (x for x, shape in pairs if not is_zero(shape))
+            element.rows.put(0, *outer[0], *outer[1], *stored)
+
+        element.each_kind(do)
+
+    def started(self, body: LoopBody, inputs: Any) -> State:
+        """Store the start, from poses and twists in the user's frames; return its `State`."""
+        tree = self._tree(body)
+        zero = tree[at.NODES] * 0
+        seats = at.MOTION_ROW  # place and twist of each node, where motions are stored later
+
+        def given(node: MemoryNode) -> None:
+            first = tree[at.START_COLUMN] + node.entry(at.LINK) * WIDTHS[2]
+            numbers = [load(inputs, (first + i, 0), self.plan.lanes) for i in range(WIDTHS[2])]
+            parts = Columns(*START).parts(numbers)
+            read = {f"0.{name}": part for name, part in parts.items()}
+            frame = tree_nodes.frame_of(node.details)
+            place, twist = given_start(frame, read, 0)
+            node.part(seats, MOTION).put(0, *place[0], *place[1], *twist)
+
+        tree.for_nodes(given)
+        tree.node(zero).part(seats, MOTION).put(0, *IDENTITY, *ZERO3, *ZERO6)
+
+        def relative(node: MemoryNode) -> None:
+            base = tree.node(node.entry(at.BASE))
+            own, outer = node.part(seats, MOTION), base.above
+            outside = outer[0:9], outer[9:12]
+            seat = se3.compose(se3.inverse(outside), (own[0:9], own[9:12]))
+            moving = sub(own[12:18], twist_at(seat, outer[12:18]))
+            hang = tree_nodes.hang_of(base.constants)
+            d = se3.compose(se3.inverse(hang), seat)
+
+            def keep(node: MemoryNode, kind: Kind, d: Pose, moving: Vec) -> None:
+                slots, pitch = kind.slots, kind.pitch(node.constants)
+                chart = chart_of(Node(GROUND, 0, "reduced", slots, ()), d)
+                chart = subgroup.on_subgroup(slots, chart)
+                kind.store_chart(node.next_chart, tree_nodes.tidied(slots, chart, pitch))
+                node.next_v.put(0, *subgroup.coordinates(slots, moving))
+
+            def do(joint: JointKind) -> None:
+                if joint.role == tree_nodes.MASSLESS:
+                    return  # stored with the next node
+                if joint.first is None:
+                    keep(node, joint.kind, d, moving)
+                    return
+                first, last = factored(joint.first, joint.kind.slots, d, moving)
+                keep(base, Kind(joint.first), *first)
+                keep(node, joint.kind, *last)
+
+            node.each_joint(do)
+
+        tree.for_nodes(relative)
+        constants, motion = tree.ground.constants, tree.ground.motion
+        tree_nodes.set_ground(constants[0:3], motion, tree.ground.details)
+        return self._begun(body)
+
+    def resumed(self, body: LoopBody, inputs: Any) -> State:
+        """Store a state to continue from, and return its `State`."""
+        tree = self._tree(body)
+
+        def one(node: MemoryNode) -> None:
+            before = node.i + -1
+
+            def numbers(name: int, width: int) -> Vec:
+                first = tree[name] + before * width
+                return tuple(load(inputs, (first + i, 0), self.plan.lanes) for i in range(width))
+
+            chart, v = numbers(at.CHART_COLUMN, 7), numbers(at.V_COLUMN, 6)
+
+            def do(kind: Kind) -> None:
+                kind.store_chart(node.next_chart, (chart[:4], chart[4:]))
+                node.next_v.put(0, *subgroup.coordinates(kind.slots, v))
+
+            node.each_kind(do)
+
+        tree.for_nodes(one)
+        return self._begun(body)
+
+    def _begun(self, body: LoopBody) -> State:
+        if not self.plan.has_lane_clocks:
+            self.clear_errors(body, 1.0 + 0.0 * body.mass)
+        zero = 0.0 * body.mass
+        return State((), (), (zero,), zero if self.plan.does_work else ZERO)
+
+    # ---- states in memory ----
+
+    def clear_errors(self, body: LoopBody, mask: Any) -> None:
+        """Set JOINT_KEPT to 0 where the mask, 1 or 0, is 1."""
+        tree = self._tree(body)
+        kept = tree.section(at.KEPT_ROW)
+        count = tree[at.LINKS] * len(JOINT_KEPT)
+        for_each(count, lambda i: kept.put(i, where(mask > 0.5, 0.0, kept[i])))
+
+    def take_next(self, body: LoopBody, mask: Any) -> None:
+        """Make the next state the state where the mask is 1."""
+        tree = self._tree(body)
+        now, after = self._states(tree)
+        for_each(tree[at.STATE], lambda i: now.put(i, where(mask > 0.5, after[i], now[i])))
+
+    def exchange(self, body: LoopBody) -> None:
+        """Exchange the state and the next one."""
+        tree = self._tree(body)
+        now, after = self._states(tree)
+
+        def one(i: Index) -> None:
+            first, second = now[i], after[i]
+            now.put(i, second)
+            after.put(i, first)
+
+        for_each(tree[at.STATE], one)
+
+    def copy_next(self, body: LoopBody, is_back: bool = False) -> None:
+        """Copy the next state, or copy it back."""
+        tree = self._tree(body)
+        _, after = self._states(tree)
+        pair = after, tree.section(at.COPY_ROW)
+        source, target = reversed(pair) if is_back else pair
+        for_each(tree[at.STATE], lambda i: target.put(i, source[i]))
+
+    def _states(self, tree: MemoryTree) -> tuple[Rows, Rows]:
+        first = tree[at.CHART_ROW]
+        return tree.rows(first), tree.rows(first + tree[at.AHEAD])

@@ -1,0 +1,216 @@
+"""Nodes, elements and numbers of a tree in memory, as formulas see them at run time.
+
+Numbers are in rows of a thread's memory, whose places the tree's table has
+(`lierb.kernels.systems.tree_table`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+from lierb.kernels.functions.signals import NO_SIGNALS, Signals
+from lierb.kernels.groups import se3
+from lierb.kernels.mechanics import tree_nodes
+from lierb.kernels.mechanics.spatial import Pose, twist_at
+from lierb.kernels.mechanics.tree import HERE, Connection
+from lierb.kernels.mechanics.tree_nodes import CONSTANTS, DETAILS, MOTION, JointKind, Kind
+from lierb.kernels.numbers.arithmetic import flatten, refilled
+from lierb.kernels.numbers.vec import Vec, add
+from lierb.kernels.numbers.zero import ZERO, is_zero
+from lierb.kernels.systems import tree_table as at
+from lierb.kernels.systems.layout import Columns, Field
+from lierb.kernels.systems.plan import ElementKind, LoopPlan
+from lierb.kernels.systems.signals import PassiveElements
+from lierb.kernels.systems.tree_table import placed_shape
+from lierb.kernels.tracing.arrays import Index
+from lierb.kernels.tracing.memory import Rows, for_each, integer_at, procedure, switch
+
+
+class LoopBody(NamedTuple):
+    """Addresses of a tree's table and of a thread's memory, with the constants of the nodes.
+
+    mass : of the first link, as an example of the number type.   girth : see `TreeConstants`.
+    """
+
+    table: Any
+    memory: Any
+    mass: Any
+    gravity: Vec
+    girth: Any
+    dropped: Any = ZERO
+    signals: Signals = NO_SIGNALS
+
+
+class MemoryNode:
+    """A node at run time."""
+
+    def __init__(self, tree: MemoryTree, i: Index) -> None:
+        self.tree, self.i = tree, i
+
+    def entry(self, name: int) -> Index:
+        return integer_at(self.tree.table, self.i * at.TABLE + (at.HEADER + name))
+
+    def part(self, first: int, width: int, of: Index | None = None) -> Rows:
+        """Rows of a node in a section with `width` rows for each.   of : another node."""
+        i = self.i if of is None else of
+        return self.tree.rows(self.tree[first] + i * width)
+
+    @property
+    def constants(self) -> Rows:
+        return self.part(at.CONSTANTS_ROW, CONSTANTS)
+
+    @property
+    def details(self) -> Rows:
+        return self.part(at.DETAILS_ROW, DETAILS)
+
+    @property
+    def chart(self) -> Rows:
+        return self.tree.rows(self.entry(at.CHART))
+
+    @property
+    def next_chart(self) -> Rows:
+        """Rows of the chart to which a step leads."""
+        return self.tree.rows(self.entry(at.CHART) + self.tree[at.AHEAD])
+
+    @property
+    def next_v(self) -> Rows:
+        return self.tree.rows(self.tree[at.V_ROW] + self.tree[at.AHEAD] + self.entry(at.FREEDOM))
+
+    def freedoms(self, first: int) -> Rows:
+        """Rows of a node in a section with a row for each freedom."""
+        return self.tree.rows(self.tree[first] + self.entry(at.FREEDOM))
+
+    def slopes(self, first: int, ahead: Index) -> Rows:
+        """Rows of a node in a section of slopes.   ahead : rows of the stages before."""
+        return self.tree.rows(self.tree[first] + ahead + self.entry(at.FREEDOM))
+
+    @property
+    def motion(self) -> Rows:
+        return self.part(at.MOTION_ROW, MOTION)
+
+    @property
+    def above(self) -> Rows:
+        return self.part(at.MOTION_ROW, MOTION, self.entry(at.PARENT))
+
+    def on_joint(self, joint: JointKind) -> tuple[Pose, Vec]:
+        """D of the node's joint and V_rel, composed of those of two nodes if it has two."""
+
+        def of(node: MemoryNode, kind: Kind) -> tuple[Pose, Vec]:
+            return tree_nodes.on_joint(kind, node.constants, node.chart, node.freedoms(at.V_ROW))
+
+        d, moving = of(self, joint.kind)
+        if joint.first is None:
+            return d, moving
+        first, turning = of(self.parent, Kind(joint.first))
+        return se3.compose(first, d), add(twist_at(d, turning), moving)
+
+    def each_joint(self, do: Callable[[JointKind], None]) -> None:
+        """Emit the code of all kinds of joints, of which that of the node's joint runs."""
+        switch(self.entry(at.JOINT), self.tree.plan.joint_kinds, do)
+
+    @property
+    def parent(self) -> MemoryNode:
+        return self.tree.node(self.entry(at.PARENT))
+
+    def each_kind(self, do: Callable[[Kind], None]) -> None:
+        """Emit the code of all kinds, of which the node's runs."""
+        switch(self.entry(at.KIND), self.tree.plan.kinds, do)
+
+
+class MemoryElement:
+    """An element at run time."""
+
+    def __init__(self, tree: MemoryTree, k: Index) -> None:
+        self.tree, self.k = tree, k
+
+    def entry(self, name: int) -> Index:
+        return integer_at(self.tree.table, self.tree[at.ELEMENT_TABLE] + self.k * at.ELEMENT + name)
+
+    @property
+    def node(self) -> MemoryNode:
+        return self.tree.node(self.entry(at.NODE))
+
+    @property
+    def other(self) -> MemoryNode:
+        """Its other node, or the ground."""
+        return self.tree.node(self.entry(at.OTHER))
+
+    @property
+    def rows(self) -> Rows:
+        return self.tree.rows(self.entry(at.ROW))
+
+    def each_kind(self, do: Callable[[ElementKind], None]) -> None:
+        """Emit the code of all kinds, of which the element's runs."""
+        if self.tree.plan.element_kinds:
+            switch(self.entry(at.ELEMENT_KIND), self.tree.plan.element_kinds, do)
+
+    def placed(self, kind: ElementKind) -> tuple[Pose, Any]:
+        """Frame on the other node, and parameters of the element."""
+        rows, count = self.rows, tree_nodes.FRAME_ROWS
+        outer = tree_nodes.hang_of(rows) if kind.on_joint else HERE
+        shape = placed_shape(kind)
+        stored = sum(not is_zero(x) for x in flatten(shape))
+        numbers = iter(rows[count : count + stored])
+        filled = (x if is_zero(x) else next(numbers) for x in flatten(shape))
+        return outer, refilled(shape, filled)
+
+
+class MemoryTree:
+    """A tree at run time: tree[name] is a number of the table's header."""
+
+    def __init__(self, plan: LoopPlan, table: Index, memory: Index) -> None:
+        self.plan, self.table, self.memory = plan, table, memory
+
+    def __getitem__(self, name: int) -> Index:
+        return integer_at(self.table, name)
+
+    def rows(self, first: Index | int) -> Rows:
+        return Rows(self.memory, self.plan.lanes, first)
+
+    def section(self, name: int) -> Rows:
+        return self.rows(self[name])
+
+    def node(self, i: Index) -> MemoryNode:
+        return MemoryNode(self, i)
+
+    @property
+    def ground(self) -> MemoryNode:
+        return self.node(self[at.NODES] * 0)
+
+    def for_elements(self, do: Callable[[MemoryElement], None]) -> None:
+        if self.plan.element_kinds:
+            for_each(self[at.ELEMENTS], lambda k: do(MemoryElement(self, k)))
+
+    def for_nodes(self, do: Callable[[MemoryNode], None], backward: bool = False) -> None:
+        for_each(self[at.NODES], lambda i: do(self.node(i + 1)), backward)
+
+
+@dataclass(frozen=True)
+class TreeInMemory(PassiveElements):
+    """Base of a mechanism whose nodes are in memory."""
+
+    plan: LoopPlan
+
+    joints: tuple[Connection, ...] = ()  # their errors are in memory, not in a `Record`
+    inputs = Columns(Field("state", (0,)))  # read from memory
+    state = Columns(Field("v", (1,)), Field("work"))
+    invariant = ()
+    is_homogeneous = False
+    is_light = False
+    takes_small_angle_steps = False
+    rows = ()
+
+    def _tree(self, body: LoopBody) -> MemoryTree:
+        return MemoryTree(self.plan, body.table, body.memory)
+
+    def _run(
+        self, name: str, body: LoopBody | MemoryTree, do: Callable[..., None], *more: Any
+    ) -> None:
+        """Call a procedure on the tree, whose code is emitted once."""
+
+        def formula(table: Index, memory: Index, *others: Any) -> None:
+            do(MemoryTree(self.plan, table, memory), *others)
+
+        procedure(f"{__name__}.{name}.{self.plan.lanes}", formula, body.table, body.memory, *more)
