@@ -364,13 +364,13 @@ def test_theory_shows_the_stored_drift_of_mechanisms():
     drifting = [kind for kind in told if not kind["exact"]]
     assert f"measured {len(mechanisms)} mechanisms" in page
     assert f"Of {len(told)} errors" in page
-    assert f"{len(exact)} were said to be exact" in page
-    assert f"{len(drifting)} were said to drift" in page
+    assert f"{len(exact)} were predicted to be exact" in page
+    assert f"{len(drifting)} were predicted to drift" in page
     assert "stayed below 3.9e-15" in page
     assert max(kind["largest"] for kind in exact) < 3.9e-15
     assert "were 5.6e-12 or more" in page
     assert f"{min(kind['least'] for kind in drifting):.1e}" == "5.6e-12"
-    assert "2^1.99th to 2^2.03rd" in page
+    assert "2^1.99 to 2^2.03" in page
     orders = [kind["order"] for kind in drifting]
     assert 1.99 < min(orders) <= max(orders) < 2.03
 
