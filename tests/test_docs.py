@@ -117,5 +117,12 @@ def test_examples_run(page):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_cells_are_python(page):
+    """The site runs them; its build takes minutes."""
+    for cell in re.findall(r"```\{code-cell\}[^\n]*\n(.*?)\n```", page.read_text("utf-8"), re.S):
+        ast.parse(re.sub(r"\A(?::[\w-]+:.*\n)+", "", cell))
+
+
 def test_readme_examples_print_what_they_say():
     readme.run()
