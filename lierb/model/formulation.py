@@ -17,6 +17,7 @@ from lierb.support.arrays import as_number
 
 CSpace = str | Mapping[str, str]
 CSPACE_NAMES = (*CSPACES, "reduced")
+TREE_SOLVERS = ("looped", "unrolled")  # of a mechanism
 
 
 class Formulation(NamedTuple):
@@ -87,6 +88,8 @@ def formulation_of_body(
             f"stabilise={brief(stabilise)} is for a lierb.Mechanism; a Problem with one link is "
             "lierb.Mechanism([lierb.Link(name, body, joint)])"
         )
+    if solver in TREE_SOLVERS:
+        raise ArgumentError(f'solver="{solver}" is for a lierb.Mechanism; leave solver out')
     if not isinstance(cspace, str):
         raise ArgumentError(f"cspace={brief(cspace)}; expected one name for one body")
     require_name("cspace", cspace, CSPACE_NAMES)

@@ -14,6 +14,7 @@ from lierb.kernels.systems.plan import Stabilisation
 from lierb.model.base import Model
 from lierb.model.formulation import (
     CSPACE_NAMES,
+    TREE_SOLVERS,
     CSpace,
     Formulation,
     described_cspace,
@@ -28,7 +29,7 @@ CHOICES = {
     "cspace": CSPACE_NAMES,
     "update": UPDATES,
     "check": ("raise", "warn", "off"),
-    "solver": ("auto", *FORMULATIONS, "looped", "unrolled"),
+    "solver": ("auto", *FORMULATIONS, *TREE_SOLVERS),
 }
 
 

@@ -323,6 +323,10 @@ def test_what_loops_cannot_run_is_refused_by_name():
     tree = tree_of(("revolute", "revolute"), forces=(stop.on("link0"),))
     with pytest.raises(ArgumentError, match="does not support stops"):
         lierb.integrate(tree, **start_of(tree), rtol=1e-8, t_end=0.1, solver="looped")
+    body = lierb.Problem(lierb.Body(1.0, (1.0, 1.0, 1.0)), lierb.joints.spherical())
+    for solver, cspace in (("looped", "SE3"), ("unrolled", "SE3"), ("looped", "reduced")):
+        with pytest.raises(ArgumentError, match="is for a lierb.Mechanism; leave solver out"):
+            lierb.integrate(body, twist0=[0.0] * 6, dt=0.1, t_end=0.1, solver=solver, cspace=cspace)
     with pytest.raises(ArgumentError, match="looped, unrolled"):
         looped(tree, start_of(tree), solver="saddle")
 

@@ -19,13 +19,12 @@ from lierb.kernels.systems.plan import MechanismPlan, Stabilisation
 from lierb.kernels.systems.tree_table import joint_kind_of
 from lierb.kernels.tracing.cpu import DEFAULT_LANES
 from lierb.model.connections import NOWHERE
-from lierb.model.formulation import CSpace, Formulation, stabilisation_of
+from lierb.model.formulation import TREE_SOLVERS, CSpace, Formulation, stabilisation_of
 from lierb.model.joints.joint import Joint
 from lierb.model.joints.joint_type import JOINTS
 from lierb.model.mechanism.tree import Tree
 
 CSPACES = ("reduced", "SE3", "SO3xR3")
-TREE_SOLVERS = ("looped", "unrolled")
 UNROLLED_NODES = 7  # with more, loops over the nodes are as fast as unrolled code, or faster
 
 
