@@ -49,7 +49,7 @@ result = lierb.integrate(
 )
 
 
-def momentum() -> tuple[np.ndarray, np.ndarray]:
+def momentum(result: lierb.Result) -> tuple[np.ndarray, np.ndarray]:
     """Angular momentum and moment of inertia about the centre of mass and the axis to the left.
 
     Both (time, diver), N m s and kg m².
@@ -78,7 +78,7 @@ def momentum() -> tuple[np.ndarray, np.ndarray]:
     return np.sum(own, axis=0) + orbital, np.sum(spread, axis=0) + radii
 
 
-spin_momentum, inertia = momentum()
+spin_momentum, inertia = momentum(result)
 spin = spin_momentum / inertia
 kept = np.abs(spin_momentum / spin_momentum[0] - 1.0).max()
 print(f"angular momentum: {spin_momentum[0, 0]:.2f} N m s, kept to {kept:.0e}")

@@ -17,11 +17,11 @@ from lierb.kernels.loops.sharing import integrate_on_threads
 from lierb.kernels.stepping.clock import Clock
 from lierb.kernels.systems.plan import AnyPlan, MechanismPlan
 from lierb.kernels.systems.tree_table import table_of
+from lierb.kernels.tracing.memory import LINE
 from lierb.runs.inputs import Inputs
 from lierb.runs.output import Output
 from lierb.runs.threads import running
 from lierb.support.arrays import Array
-from lierb.support.memory import aligned
 
 Clocks = TypeVar("Clocks", bound=Clock)
 
@@ -74,7 +74,7 @@ class Run(Generic[Clocks]):
         if not isinstance(plan, MechanismPlan) or not plan.is_in_memory:
             return {}
         table, rows = table_of(plan)
-        return {"table": table, "memory": aligned(rows, plan.lanes)}
+        return {"table": table, "memory": _aligned(rows, plan.lanes)}
 
     def run(self, integrate: Any, counter: NDArray[np.int64], jobs: NDArray[Any]) -> float:
         """Run a loop on all threads; return the seconds taken, compilation excluded.
@@ -88,3 +88,10 @@ class Run(Generic[Clocks]):
             began = time.perf_counter()
             run(*loop)
             return max(time.perf_counter() - began, 1e-6)
+
+
+def _aligned(rows: int, lanes: int) -> Array:
+    """Return zeros, [row][lane], that start at a cache line."""
+    raw = np.zeros(rows * lanes + LINE // 8)
+    skipped = -raw.ctypes.data % LINE // 8
+    return raw[skipped : skipped + rows * lanes].reshape(rows, lanes)

@@ -22,7 +22,6 @@ ALWAYS = 1 << 26  # bytes that need no check; enough for a run of one body
 MEMINFO = Path("/proc/meminfo")
 CGROUP = Path("/proc/self/cgroup")
 CGROUPS = Path("/sys/fs/cgroup")
-LINE = 64  # bytes of a cache line
 POOLED = range(1 << 16, 1 << 25)  # sizes in bytes of allocations from Arrow's pool
 
 
@@ -37,13 +36,6 @@ def room(shape: tuple[int, ...]) -> NDArray[np.float64]:
     if size not in POOLED or pa.default_memory_pool().backend_name != "mimalloc":
         return np.empty(shape)
     return np.frombuffer(pa.allocate_buffer(size)).reshape(shape)
-
-
-def aligned(*shape: int) -> NDArray[np.float64]:
-    """Return zeros that start at a cache line."""
-    raw = np.zeros(math.prod(shape) + LINE // 8)
-    skipped = -raw.ctypes.data % LINE // 8
-    return raw[skipped : skipped + math.prod(shape)].reshape(shape)
 
 
 def require_memory(size: int, what: str, remedy: str) -> None:

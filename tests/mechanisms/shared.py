@@ -84,3 +84,10 @@ def in_python(
         flat += map(float, numbers if field.entries is None else numbers[list(field.entries)])
     body = system_of(plan).body(flat)
     return system_of(plan), body, system_of(plan).start(body, (), flat)
+
+
+def bits(result: lierb.Result) -> np.ndarray:
+    """Every number of the summary, as integers."""
+    names = [n for n in result.summary.column_names if n not in ("trajectory", "status")]
+    rows = [np.array(result.summary[n].to_pylist(), float) for n in names]
+    return np.concatenate([x.reshape(len(x), -1) for x in rows], axis=1).view(np.int64)

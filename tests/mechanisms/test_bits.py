@@ -11,6 +11,7 @@ from cases import tiered
 import lierb
 from lierb.model.mechanism import plan as mechanism_plan
 from lierb.runs import engine
+from mechanisms.shared import bits
 
 DT, STEPS, COUNT = 5e-3, 20, 100
 
@@ -53,13 +54,6 @@ def part(which) -> tuple[lierb.Mechanism, dict]:
 def run(made=MECHANISM, start=START, **options):
     options = {"dt": DT, "t_end": STEPS * DT, "method": "Heun", "stabilise": "project"} | options
     return lierb.integrate(made, **start, **options)
-
-
-def bits(result) -> np.ndarray:
-    """Every number of the summary, as integers."""
-    names = [n for n in result.summary.column_names if n not in ("trajectory", "status")]
-    rows = [np.array(result.summary[n].to_pylist(), float) for n in names]
-    return np.concatenate([x.reshape(len(x), -1) for x in rows], axis=1).view(np.int64)
 
 
 @pytest.fixture(scope="module")

@@ -6,7 +6,6 @@ from typing import Any, NamedTuple
 
 from lierb.kernels.functions.function import size_of
 from lierb.kernels.loops.record import (
-    NAN,
     Record,
     carried_columns,
     initial_record,
@@ -39,6 +38,7 @@ from lierb.kernels.stepping.lane_clock import (
     rounding_at,
 )
 from lierb.kernels.stepping.step_size import Tolerances
+from lierb.kernels.systems.combine import NAN
 from lierb.kernels.systems.extra_states import Control, with_signals
 from lierb.kernels.systems.layout import LANE_END
 from lierb.kernels.systems.plan import AnyPlan

@@ -15,7 +15,6 @@ from lierb.kernels.loops.lane_state import (
     suppress_exceptions,
 )
 from lierb.kernels.loops.record import (
-    NAN,
     are_finite,
     keep_errors,
     observe,
@@ -55,6 +54,7 @@ from lierb.kernels.stepping.step_size import (
     squared_correction,
     squared_error,
 )
+from lierb.kernels.systems.combine import NAN
 from lierb.kernels.systems.extra_states import Control, with_signals
 from lierb.kernels.systems.observables import Kept, observables_of, with_value
 from lierb.kernels.systems.plan import AnyPlan

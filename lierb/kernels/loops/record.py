@@ -21,6 +21,7 @@ from lierb.kernels.numbers.arithmetic import (
 )
 from lierb.kernels.numbers.zero import ZERO, is_zero
 from lierb.kernels.stepping.lane_clock import LaneClock
+from lierb.kernels.systems.combine import NAN
 from lierb.kernels.systems.layout import (
     LANE_SUMMARY,
     Columns,
@@ -52,8 +53,6 @@ from lierb.kernels.systems.system_of import in_memory, system_of
 from lierb.kernels.systems.tree_table import STATE_ROWS, table_of
 from lierb.kernels.tracing import calls
 from lierb.kernels.tracing.trace import kernel
-
-NAN = float("nan")
 
 
 @lru_cache(64)

@@ -5,9 +5,10 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 from lierb.compiler.loops import histories_at, shared
-from lierb.kernels.loops.record import NAN, Record, exception_flags, load_inputs, with_rank
+from lierb.kernels.loops.record import Record, exception_flags, load_inputs, with_rank
 from lierb.kernels.numbers.arithmetic import prefetch, scatter, sqrt, where
 from lierb.kernels.numbers.vec import Vec
+from lierb.kernels.systems.combine import NAN
 from lierb.kernels.systems.layout import POSE_AND_TWIST
 from lierb.kernels.systems.measures import KEPT, SUMMARY
 from lierb.kernels.systems.observables import columns_of

@@ -18,6 +18,7 @@ from lierb.kernels.numbers.arithmetic import flatten, scatter, sqrt, store, wher
 from lierb.kernels.numbers.vec import Vec, add
 from lierb.kernels.numbers.zero import ZERO, is_zero
 from lierb.kernels.systems import tree_table as at
+from lierb.kernels.systems.combine import NAN
 from lierb.kernels.systems.layout import POSE_AND_TWIST
 from lierb.kernels.systems.measures import JOINT_ERRORS, JOINT_KEPT
 from lierb.kernels.systems.relatives import multipliers_of_wrench
@@ -25,9 +26,7 @@ from lierb.kernels.systems.state import State
 from lierb.kernels.systems.tree_loop_measures import LoopMeasures
 from lierb.kernels.systems.tree_memory import LoopBody, MemoryNode
 from lierb.kernels.tracing.arrays import Index
-from lierb.kernels.tracing.memory import for_each, if_not_zero
-
-NAN = float("nan")
+from lierb.kernels.tracing.memory import for_each
 
 
 class TreeLoop(LoopMeasures):
@@ -40,7 +39,7 @@ class TreeLoop(LoopMeasures):
         tree, count = self._tree(body), len(JOINT_ERRORS)
 
         def one(link: Index) -> None:
-            squares = tree.rows(tree[at.ERRORS_ROW] + link * count)[0:count]
+            squares = tree.of_link(at.ERRORS_ROW, link, count)[0:count]
             errors = [where(alive, sqrt(square), NAN) for square in squares]
             columns = [link * count + (first + c) for c in range(count)]
             places = [(c, row, column) for c in columns]
@@ -53,7 +52,7 @@ class TreeLoop(LoopMeasures):
         tree, count = self._tree(body), len(JOINT_KEPT)
 
         def one(link: Index) -> None:
-            kept = tree.rows(tree[at.KEPT_ROW] + link * count)[0:count]
+            kept = tree.of_link(at.KEPT_ROW, link, count)[0:count]
             places = [(link * count + (first + c), column) for c in range(count)]
             scatter(summary, 1, places, [sqrt(square) for square in kept], self.plan.lanes)
 
@@ -66,10 +65,6 @@ class TreeLoop(LoopMeasures):
         self.motion(body, State((), (), ()), ZERO)
         tree = self._tree(body)
 
-        def one(node: MemoryNode) -> None:
-            is_link = node.entry(at.ROLE) + -tree_nodes.MASSLESS
-            if_not_zero(is_link, lambda: link(node))
-
         def link(node: MemoryNode) -> None:
             numbers = tree_nodes.in_user_frame(node.details, node.motion)
             shown = tuple(where(alive, x, NAN) for x in numbers)
@@ -78,7 +73,7 @@ class TreeLoop(LoopMeasures):
                 places = [(at_row, column, c) for c in range(len(part))]
                 scatter(array, 1, places, part, self.plan.lanes)
 
-        tree.for_nodes(one)
+        tree.for_links(link)
 
     def put_links(self, body: LoopBody, shown: Any, alive: Any) -> None:
         """Store the numbers of `store_links` in the rows of a lane's workspace."""
@@ -91,10 +86,7 @@ class TreeLoop(LoopMeasures):
             for c, x in enumerate(numbers):
                 store(shown, (first + c, 0), where(alive, x, NAN), self.plan.lanes)
 
-        def one(node: MemoryNode) -> None:
-            if_not_zero(node.entry(at.ROLE) + -tree_nodes.MASSLESS, lambda: link(node))
-
-        tree.for_nodes(one)
+        tree.for_links(link)
 
     def store_forces(
         self, body: LoopBody, multipliers: Any, reactions: Any, place: Any, time: Any, alive: Any
@@ -130,7 +122,7 @@ class TreeLoop(LoopMeasures):
                     return
                 if self.plan.reaction:
                     first = node.entry(at.LINK) * place.rows + place.row
-                    put(reactions, first, tree[at.NODES] * 0, wrench)
+                    put(reactions, first, tree.index(0), wrench)
                 if self.plan.multipliers and joint.rows:
                     x = tree_nodes.kinematics(*node.on_joint(joint))
                     ends = Ends(HERE, HERE, joint.kind.pitch(node.constants))

@@ -9,6 +9,7 @@ from lierb.kernels.mechanics.tree_nodes import JointKind
 from lierb.kernels.numbers.arithmetic import maximum, plain, where
 from lierb.kernels.numbers.zero import ZERO, is_zero
 from lierb.kernels.systems import tree_table as at
+from lierb.kernels.systems.combine import NAN
 from lierb.kernels.systems.measures import JOINT_ERRORS, JOINT_KEPT, Observed, orthogonality_squared
 from lierb.kernels.systems.plan import ElementKind
 from lierb.kernels.systems.state import State
@@ -17,9 +18,6 @@ from lierb.kernels.systems.tree_memory import LoopBody, MemoryElement, MemoryNod
 from lierb.kernels.systems.tree_table import slopes_of
 from lierb.kernels.tracing.arrays import Index
 from lierb.kernels.tracing.memory import for_each
-
-NAN = float("nan")
-ENERGY, ORTHOGONALITY, ERRORS = 0, 1, 2  # rows of sums
 
 
 class LoopMeasures(LoopSteps):
@@ -57,7 +55,7 @@ class LoopMeasures(LoopSteps):
         """Return every measure; store the errors of the joints."""
         self._run("measure", body, self._measure)
         sums = self._tree(body).section(at.SUMS_ROW)
-        energy, orthogonality, *errors = sums[0 : ERRORS + len(JOINT_ERRORS)]
+        energy, orthogonality, *errors = sums[0 : at.POWER]
         names = (measure.name for measure in JOINT_ERRORS)
         values = dict(zip(names, errors, strict=True)) | {
             "energy": energy,
@@ -75,8 +73,8 @@ class LoopMeasures(LoopSteps):
             constants, here = node.constants, node.motion
             own = tree_nodes.energy(constants, node.details, here, gravity)
             off = orthogonality_squared(here[0:9])
-            sums.put(ENERGY, sums[ENERGY] + own, maximum(sums[ORTHOGONALITY], off))
-            errors = node.part(at.ERRORS_ROW, len(JOINT_ERRORS), node.entry(at.LINK))
+            sums.put(at.ENERGY, sums[at.ENERGY] + own, maximum(sums[at.ORTHOGONALITY], off))
+            errors = tree.of_link(at.ERRORS_ROW, node.entry(at.LINK), len(JOINT_ERRORS))
 
             def do(joint: JointKind) -> None:
                 if joint.role == tree_nodes.MASSLESS:
@@ -85,7 +83,7 @@ class LoopMeasures(LoopSteps):
                 pitch = joint.kind.pitch(constants)
                 squares = tree_nodes.errors_squared(joint.rows, d, moving, pitch)
                 errors.put(0, *squares)
-                for row, square in enumerate(squares, ERRORS):
+                for row, square in enumerate(squares, at.ERRORS):
                     if not is_zero(square):
                         sums.put(row, maximum(sums[row], square))
 
@@ -99,7 +97,7 @@ class LoopMeasures(LoopSteps):
                 x, _ = tree_nodes.between(outer, node, other, ZERO)  # no potential depends on time
                 energy = kind.element.energy(placed, x)
                 if not is_zero(energy):
-                    sums.put(ENERGY, sums[ENERGY] + energy)
+                    sums.put(at.ENERGY, sums[at.ENERGY] + energy)
 
             element.each_kind(do)
 
@@ -114,8 +112,8 @@ class LoopMeasures(LoopSteps):
         tree = self._tree(body)
 
         def one(link: Index) -> None:
-            errors = tree.rows(tree[at.ERRORS_ROW] + link * len(JOINT_ERRORS))
-            kept = tree.rows(tree[at.KEPT_ROW] + link * len(JOINT_KEPT))
+            errors = tree.of_link(at.ERRORS_ROW, link, len(JOINT_ERRORS))
+            kept = tree.of_link(at.KEPT_ROW, link, len(JOINT_KEPT))
             for row, (measure, how) in enumerate(JOINT_KEPT):
                 square = errors[JOINT_ERRORS.index(measure)]
                 old = kept[row]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from math import prod
 from typing import Any
 
@@ -62,14 +63,16 @@ class LoopStart(TreeInMemory):
         v, work = numbers
         return State((), (), (v,), work if self.plan.does_work else ZERO)
 
+    def _numbers(self, inputs: Any, first: Index, count: int) -> Vec:
+        """Numbers of some columns of the inputs."""
+        return tuple(load(inputs, (first + i, 0), self.plan.lanes) for i in range(count))
+
     def loaded(self, inputs: Any, table: Any, memory: Any) -> LoopBody:
         """Load the constants of all nodes from the inputs into memory."""
         tree = MemoryTree(self.plan, table.address, memory.address)
         ground = tree.ground
 
-        def numbers(first: Index, count: int) -> Vec:
-            return tuple(load(inputs, (first + i, 0), self.plan.lanes) for i in range(count))
-
+        numbers = partial(self._numbers, inputs)
         gravity = numbers(tree[at.GRAVITY_COLUMN], 3)
         tree_nodes.set_ground(gravity, ground.motion, ground.details)
         ground.constants.put(0, *gravity)
@@ -91,7 +94,7 @@ class LoopStart(TreeInMemory):
 
         tree.for_nodes(one)
         tree.for_elements(lambda element: self._load_element(element, numbers))
-        first = tree.node(tree[at.NODES] * 0 + 1)
+        first = tree.node(tree.index(1))
         sums = tree.section(at.SUMS_ROW)
         sums.put(0, 0.0, 0.0)
 
@@ -132,20 +135,18 @@ class LoopStart(TreeInMemory):
     def started(self, body: LoopBody, inputs: Any) -> State:
         """Store the start, from poses and twists in the user's frames; return its `State`."""
         tree = self._tree(body)
-        zero = tree[at.NODES] * 0
         seats = at.MOTION_ROW  # place and twist of each node, where motions are stored later
 
         def given(node: MemoryNode) -> None:
             first = tree[at.START_COLUMN] + node.entry(at.LINK) * WIDTHS[2]
-            numbers = [load(inputs, (first + i, 0), self.plan.lanes) for i in range(WIDTHS[2])]
-            parts = Columns(*START).parts(numbers)
+            parts = Columns(*START).parts(self._numbers(inputs, first, WIDTHS[2]))
             read = {f"0.{name}": part for name, part in parts.items()}
             frame = tree_nodes.frame_of(node.details)
             place, twist = given_start(frame, read, 0)
             node.part(seats, MOTION).put(0, *place[0], *place[1], *twist)
 
         tree.for_nodes(given)
-        tree.node(zero).part(seats, MOTION).put(0, *IDENTITY, *ZERO3, *ZERO6)
+        tree.ground.part(seats, MOTION).put(0, *IDENTITY, *ZERO3, *ZERO6)
 
         def relative(node: MemoryNode) -> None:
             base = tree.node(node.entry(at.BASE))
@@ -185,13 +186,10 @@ class LoopStart(TreeInMemory):
         tree = self._tree(body)
 
         def one(node: MemoryNode) -> None:
-            before = node.i + -1
-
-            def numbers(name: int, width: int) -> Vec:
-                first = tree[name] + before * width
-                return tuple(load(inputs, (first + i, 0), self.plan.lanes) for i in range(width))
-
-            chart, v = numbers(at.CHART_COLUMN, 7), numbers(at.V_COLUMN, 6)
+            chart, v = (
+                self._numbers(inputs, tree[name] + (node.i + -1) * width, width)
+                for name, width in ((at.CHART_COLUMN, 7), (at.V_COLUMN, 6))
+            )
 
             def do(kind: Kind) -> None:
                 kind.store_chart(node.next_chart, (chart[:4], chart[4:]))

@@ -11,16 +11,13 @@ from lierb.kernels.numbers.arithmetic import where
 from lierb.kernels.numbers.vec import Vec, add, dot
 from lierb.kernels.numbers.zero import ZERO, is_zero
 from lierb.kernels.systems import tree_table as at
-from lierb.kernels.systems.combine import summed, weighted
+from lierb.kernels.systems.combine import NAN, summed, weighted
 from lierb.kernels.systems.plan import ElementKind
 from lierb.kernels.systems.state import Factors, Rates, Slopes, Stabilised, State, Units, Weights
 from lierb.kernels.systems.tree_loop_start import LoopStart
 from lierb.kernels.systems.tree_memory import LoopBody, MemoryElement, MemoryNode, MemoryTree
 from lierb.kernels.tracing.arrays import Index
 from lierb.kernels.tracing.memory import Rows, for_each, if_not_zero
-
-NAN = float("nan")
-POWER = 6  # row of sums
 
 
 class LoopSteps(LoopStart):
@@ -40,15 +37,12 @@ class LoopSteps(LoopStart):
     ) -> State:
         """Store X/2 and V of a stage."""
         assert factors is None
-        tree, lanes = self._tree(body), self.plan.lanes
+        tree = self._tree(body)
         stages = [j for j, w in enumerate(weights) if not (isinstance(w, float) and w == 0.0)]
         chosen = tuple(weights[j] for j in stages)
         count = tree[at.FREEDOMS]
         x, v, before = map(tree.section, (at.X_ROW, at.STAGE_ROW, at.V_ROW))
-        of_x, of_v = (
-            [Rows(body.memory, lanes, tree[name] + count * j) for j in stages]
-            for name in (at.X_SLOPES, at.V_SLOPES)
-        )
+        of_x, of_v = (tree.slopes(name, stages) for name in (at.X_SLOPES, at.V_SLOPES))
 
         def one(i: Index) -> None:
             nothing: Vec = (ZERO,)
@@ -68,7 +62,7 @@ class LoopSteps(LoopStart):
         tree = self._tree(body)
         ahead = tree[at.FREEDOMS] * stage
         self._run("rates", body, self._rates, ahead, time)
-        power = tree.section(at.SUMS_ROW)[POWER] if self.plan.does_work else ZERO
+        power = tree.section(at.SUMS_ROW)[at.POWER] if self.plan.does_work else ZERO
         return Rates((), (), power)
 
     def _rates(self, tree: MemoryTree, ahead: Index, time: Any) -> None:
@@ -107,14 +101,14 @@ class LoopSteps(LoopStart):
         if acts:
             loads = tree.section(at.LOADS_ROW)
             for_each(tree[at.NODES] * 6 + 6, lambda i: loads.put(i, 0.0))
-            tree.section(at.SUMS_ROW).put(POWER, 0.0)
+            tree.section(at.SUMS_ROW).put(at.POWER, 0.0)
             tree.for_elements(lambda element: self._act(element, time))
         tree.for_nodes(gather, backward=True)
         tree.for_nodes(accelerate)
 
     def _call_place(self, tree: MemoryTree, ahead: Index, is_whole: bool) -> None:
         """Emit a call of the outward pass at X and V of the stage, which stores Ẋ."""
-        whole = tree[at.NODES] if is_whole else tree[at.NODES] * 0
+        whole = tree.index(int(is_whole))
         self._run("place", tree, self._place, ahead, whole)
 
     def _place(self, tree: MemoryTree, ahead: Index, whole: Index) -> None:
@@ -142,7 +136,7 @@ class LoopSteps(LoopStart):
             x, lever = tree_nodes.between(outer, node.motion, other.motion, time)
             wrench = kind.element.wrench(placed, x)
             if kind.element.does_work:
-                sums.put(POWER, sums[POWER] + kind.element.power(placed, x, wrench))
+                sums.put(at.POWER, sums[at.POWER] + kind.element.power(placed, x, wrench))
             loads = tree_nodes.loads_of(wrench, node.motion, lever)
             for place, more in zip(places, loads, strict=True):
                 place.put(0, *add(place[0:6], more))
@@ -226,7 +220,7 @@ class LoopSteps(LoopStart):
         """Squares of rotations, positions, ω and v in Σ w k.   weights : w by the slope's index."""
         tree, count = self._tree(body), self._tree(body)[at.FREEDOMS]
         for name, into in ((at.X_SLOPES, at.X_ROW), (at.V_SLOPES, at.STAGE_ROW)):
-            slopes = [tree.rows(tree[name] + count * j) for j in weights]
+            slopes = tree.slopes(name, weights)
             _store_sums(tree.section(into), slopes, tuple(weights.values()), count)
         self._run("squares", body, self._squares)
         return tree.section(at.SUMS_ROW)[0:4]

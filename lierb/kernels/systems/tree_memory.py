@@ -6,7 +6,7 @@ Numbers are in rows of a thread's memory, whose places the tree's table has
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -25,7 +25,7 @@ from lierb.kernels.systems.plan import ElementKind, LoopPlan
 from lierb.kernels.systems.signals import PassiveElements
 from lierb.kernels.systems.tree_table import placed_shape
 from lierb.kernels.tracing.arrays import Index
-from lierb.kernels.tracing.memory import Rows, for_each, integer_at, procedure, switch
+from lierb.kernels.tracing.memory import Rows, for_each, if_not_zero, integer_at, procedure, switch
 
 
 class LoopBody(NamedTuple):
@@ -52,10 +52,9 @@ class MemoryNode:
     def entry(self, name: int) -> Index:
         return integer_at(self.tree.table, self.i * at.TABLE + (at.HEADER + name))
 
-    def part(self, first: int, width: int, of: Index | None = None) -> Rows:
-        """Rows of a node in a section with `width` rows for each.   of : another node."""
-        i = self.i if of is None else of
-        return self.tree.rows(self.tree[first] + i * width)
+    def part(self, first: int, width: int) -> Rows:
+        """Rows of a node in a section with `width` rows for each."""
+        return self.tree.rows(self.tree[first] + self.i * width)
 
     @property
     def constants(self) -> Rows:
@@ -92,7 +91,7 @@ class MemoryNode:
 
     @property
     def above(self) -> Rows:
-        return self.part(at.MOTION_ROW, MOTION, self.entry(at.PARENT))
+        return self.parent.motion
 
     def on_joint(self, joint: JointKind) -> tuple[Pose, Vec]:
         """D of the node's joint and V_rel, composed of those of two nodes if it has two."""
@@ -177,11 +176,32 @@ class MemoryTree:
 
     @property
     def ground(self) -> MemoryNode:
-        return self.node(self[at.NODES] * 0)
+        return self.node(self.index(0))
+
+    def index(self, number: int) -> Index:
+        """A constant."""
+        return Index(self.table.trace, self.table.value.type(number))
+
+    def slopes(self, name: int, stages: Iterable[int]) -> list[Rows]:
+        """Rows of the slopes of some stages, in a section of slopes."""
+        return [self.rows(self[name] + self[at.FREEDOMS] * stage) for stage in stages]
+
+    def of_link(self, name: int, link: Index, width: int) -> Rows:
+        """Rows of a link in a section with `width` rows for each."""
+        return self.rows(self[name] + link * width)
 
     def for_elements(self, do: Callable[[MemoryElement], None]) -> None:
         if self.plan.element_kinds:
             for_each(self[at.ELEMENTS], lambda k: do(MemoryElement(self, k)))
+
+    def for_links(self, do: Callable[[MemoryNode], None]) -> None:
+        """Run `do` for all nodes but massless ones."""
+
+        def one(node: MemoryNode) -> None:
+            is_link = node.entry(at.ROLE) + -tree_nodes.MASSLESS
+            if_not_zero(is_link, lambda: do(node))
+
+        self.for_nodes(one)
 
     def for_nodes(self, do: Callable[[MemoryNode], None], backward: bool = False) -> None:
         for_each(self[at.NODES], lambda i: do(self.node(i + 1)), backward)

@@ -7,6 +7,7 @@ ground; each node comes after its parent. *Rows* are those of a thread's memory,
 from __future__ import annotations
 
 from functools import lru_cache
+from itertools import accumulate
 from math import prod
 from typing import Any
 
@@ -55,7 +56,8 @@ from lierb.kernels.systems.tree_inputs import first_of_joint, inputs_of, placed_
 ) = range(15)  # fmt: skip
 # An element's numbers: its kind, its two nodes, its link's joint, its first column and its row.
 ELEMENT_KIND, NODE, OTHER, ON_JOINT, COLUMN, ROW, ELEMENT = range(7)
-SUMS = 8  # rows: energy, orthogonality error, largest errors of the joints, power
+# Rows of sums over all nodes: energy, orthogonality error, largest errors of the joints, power.
+ENERGY, ORTHOGONALITY, ERRORS, POWER, SUMS = 0, 1, 2, 2 + len(JOINT_ERRORS), 3 + len(JOINT_ERRORS)
 
 
 @lru_cache(64)
@@ -104,6 +106,7 @@ def table_of(plan: MechanismPlan) -> tuple[NDArray[np.int64], int]:
     header[END_COLUMNS] = sum(map(sum, map(_stored, kinds)))
     header[LANE_COLUMN] = inputs.count + state.count
     header[STATE_ROWS] = charts + freedoms + sizes[KEPT_ROW]
+    multipliers = [*accumulate((len(at.rows) for at in plan.connections), initial=0)]
     chart, freedom, ends = header[CHART_ROW], 0, [0, sum(_stored(k)[0] for k in kinds)]
     for i, (node, kind) in enumerate(zip(plan.tree, kinds, strict=True), 1):
         nodes[i, [CHART_END, V_END]] = ends
@@ -112,7 +115,7 @@ def table_of(plan: MechanismPlan) -> tuple[NDArray[np.int64], int]:
         nodes[i, [KIND, PARENT, LINK]] = plan.kinds.index(kind), node.parent + 1, link
         nodes[i, ROLE] = joints[i - 1].role
         nodes[i, BASE] = first_of_joint(plan.tree, i - 1) + 1
-        nodes[i, MULTIPLIER] = sum(len(at.rows) for at in plan.connections[:link])
+        nodes[i, MULTIPLIER] = multipliers[link]
         nodes[i, JOINT] = plan.joint_kinds.index(joints[i - 1])
         nodes[i, [CHART, FREEDOM]] = chart, freedom
         chart, freedom = chart + len(kind.chart_rows), freedom + kind.freedoms
