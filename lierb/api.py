@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from lierb.errors import ArgumentError, InconsistentStateWarning, brief
 from lierb.kernels.systems.plan import Stabilisation
-from lierb.methods import ButcherTableau
+from lierb.methods import Method
 from lierb.model.base import Model
 from lierb.model.functions.events import Event
 from lierb.model.mechanism.mechanism import Mechanism
@@ -53,7 +53,7 @@ def integrate(
     max_steps: int | None = None,
     discontinuities: ArrayLike | None = None,
     # equations and method
-    method: str | ButcherTableau | None = None,
+    method: str | Method | None = None,
     cspace: str | Mapping[str, str] | None = None,
     update: str = "local",
     solver: str = "auto",
