@@ -1210,17 +1210,6 @@ def test_study_that_is_no_path_is_told_as_such(study, tmp_path):
             call(study)
 
 
-def test_twist_may_be_left_out_for_a_start_from_rest():
-    """A body falls from rest: r = g t²/2, exactly by RK4."""
-    flight = lierb.Problem(
-        lierb.bodies.sphere(0.1, mass=1.0), lierb.joints.free(), (0.0, 0.0, -9.81)
-    )
-    result = lierb.integrate(flight, dt=0.1, t_end=1.0)
-    assert result.position[0, 2] == pytest.approx(-0.5 * 9.81, abs=1e-14)
-    with pytest.raises(ArgumentError, match="give its twist0 too"):
-        lierb.integrate(flight, pose0=result.end["pose0"], t0=1.0, dt=0.1, t_end=2.0)
-
-
 def test_names_of_methods_in_other_packages_are_told():
     flight = lierb.Problem(lierb.bodies.sphere(0.1, mass=1.0), lierb.joints.free())
     for name, here in lierb.methods.ELSEWHERE.items():

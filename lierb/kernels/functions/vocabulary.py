@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 from numba import types
 from numba.extending import overload
-from numpy.typing import ArrayLike
 
 from lierb.kernels.functions.elementary import arctan2, sqrt
 from lierb.kernels.functions.numpy_library import Spoken
@@ -59,7 +58,7 @@ def clip(x: Any, lower: Any, upper: Any) -> Any:
     return _clip(x, lower, upper)
 
 
-def table(x: Any, xs: ArrayLike, ys: ArrayLike) -> Any:
+def table(x: Any, xs: Any, ys: Any) -> Any:
     """Interpolate linearly between the points (xs, ys); constant beyond the first and the last.
 
     In a kernel each point costs a comparison and three choices. The interval among more than 32
