@@ -81,6 +81,13 @@ SET = click.option(
 )  # fmt: skip
 
 
+RANK_BY = click.option(
+    "--rank-by", metavar="COLUMN",
+    help="Column of the summary whose largest numbers are the report's worst; -COLUMN: whose "
+    "smallest.  [default: that of a stopping rule, or the first observable's maximum, or errors]",
+)  # fmt: skip
+
+
 @click.command()
 @STUDY
 @SET
@@ -111,6 +118,7 @@ SET = click.option(
     "--gather", is_flag=True, help="Workers send their parts here; they do not see the folder."
 )
 @click.option("--report", is_flag=True, help="Write DIR/report.html at the end.")
+@RANK_BY
 @click.option(
     "--only", type=int, metavar="TRAJECTORY",
     help="Replay the trajectory of this number alone, with everything recorded at each step.",
@@ -128,6 +136,7 @@ def run(
     scheduler: str | None,
     gather: bool,
     report: bool,
+    rank_by: str | None,
     only: int | None,
 ) -> None:
     """Run a Monte Carlo STUDY, a TOML file (- for standard input), into a folder of Parquet parts.
@@ -143,12 +152,18 @@ def run(
 
     folder = folder_of(Path("results") / study.stem if out is None else out)
     _require_one_way(workers, scheduler, gather, report, only)
+    if rank_by is not None and not report:
+        raise click.UsageError("--rank-by is for --report")
     own = {"sample.n": n, "sample.seed": seed, "sample.stop_when": stop_when}
     changes = _merged(changes, {key: value for key, value in own.items() if value is not None})
     loaded = Study.load(study, changes)  # reports errors before any worker starts
     if only is not None:
         _replay(loaded, folder, only, threads)
         return
+    if rank_by is not None:
+        from lierb.studies.findings.ranking import ranking_named
+
+        ranking_named(loaded, rank_by)  # raises before the run, not after it
     for message in stiff_settings(loaded):
         click.secho(wrapped(message), fg="yellow", err=True)
     try:
@@ -163,7 +178,7 @@ def run(
         raise click.exceptions.Exit(INTERRUPTED) from None
     _show(dataset)
     if report:
-        _report(dataset, folder / "report.html")
+        _report(dataset, folder / "report.html", rank_by)
     _end_with_failures(dataset)
 
 
@@ -244,10 +259,11 @@ def plot(folder: Path) -> None:
     "--out", type=UserPath(dir_okay=False, path_type=Path),
     help="The file to write.  [default: FOLDER/report.html]",
 )  # fmt: skip
-def report_page(folder: Path, out: Path | None) -> None:
+@RANK_BY
+def report_page(folder: Path, out: Path | None, rank_by: str | None) -> None:
     """Write a study's results in FOLDER as one HTML page, which opens without a network."""
     dataset = _results_in(folder)
-    _report(dataset, out or folder / "report.html")
+    _report(dataset, out or folder / "report.html", rank_by)
 
 
 @click.command()
@@ -294,12 +310,12 @@ def _replay(study: Study, folder: Path, trajectory: int, threads: int | None) ->
             click.echo(f"  and {len(events) - MOST_EVENTS} events more")
 
 
-def _report(dataset: Dataset, path: Path) -> None:
+def _report(dataset: Dataset, path: Path, rank_by: str | None) -> None:
     require("report")
     from lierb.studies.pages.report import write_report
 
     click.echo("Writing the report ...", err=True)
-    click.echo(str(write_report(dataset, path)))
+    click.echo(str(write_report(dataset, path, rank_by=rank_by)))
 
 
 def _show(dataset: Dataset) -> None:

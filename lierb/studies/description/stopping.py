@@ -69,6 +69,20 @@ def rule_of(text: str, problem: Problem | Mechanism, has_lane_clocks: bool = Fal
     probability = float(share) / 100.0 if share else None
     if probability is not None and not 0.0 < probability < 1.0:
         raise StudyError(f"sample.stop_when: {share}%; expected more than 0 and less than 100")
+    names = number_columns(problem, has_lane_clocks)
+    if column != FAILED and column not in names:
+        raise StudyError(f"sample.stop_when: {unknown_name('column', column, names)}")
+    limit = float(bound) / (100.0 if percent else 1.0)
+    if not limit > 0.0:
+        raise StudyError(f"sample.stop_when: {bound}; expected a positive bound")
+    return Rule(probability, column, limit, bool(percent))
+
+
+def number_columns(problem: Problem | Mechanism, has_lane_clocks: bool) -> list[str]:
+    """Return the columns of a problem's summary that have one number for each trajectory.
+
+    has_lane_clocks : True if each trajectory has its own steps, which columns count.
+    """
     names = [f"{measure.name}_{how}" for measure, how in KEPT]
     names += [f"{each.name}_{how}" for each in problem.observables for how in KEEPS]
     names += [name for name, shape, _ in problem.signals if shape == ()]
@@ -76,12 +90,7 @@ def rule_of(text: str, problem: Problem | Mechanism, has_lane_clocks: bool = Fal
     if isinstance(problem, Mechanism):
         kept = [f"{measure.name}_{how}" for measure, how in JOINT_KEPT]
         names += [f"{each.name}.{name}" for each in problem.links_and_loops for name in kept]
-    if column != FAILED and column not in names:
-        raise StudyError(f"sample.stop_when: {unknown_name('column', column, names)}")
-    limit = float(bound) / (100.0 if percent else 1.0)
-    if not limit > 0.0:
-        raise StudyError(f"sample.stop_when: {bound}; expected a positive bound")
-    return Rule(probability, column, limit, bool(percent))
+    return names
 
 
 class Bodies:

@@ -73,9 +73,13 @@ def first_time(quantile: Quantile, t_end: float) -> tuple[str, str]:
     return with_interval(quantile[1:], beyond=f"> {t_end:g}")
 
 
+def named(name: str, unit: str) -> str:
+    return f"{name}, {unit}" if unit != "1" else name
+
+
 def with_unit(spread: Spread) -> str:
     """Format a quantity's name, its unit, and the number of bodies without a number."""
-    name = f"{spread.name}, {spread.unit}" if spread.unit != "1" else spread.name
+    name = named(spread.name, spread.unit)
     return f"{name} (not a number: {spread.undefined})" if spread.undefined else name
 
 

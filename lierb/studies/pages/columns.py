@@ -2,9 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from typing import NamedTuple
+
 import pyarrow as pa
 
+from lierb.studies.description.study import Study
 from lierb.studies.findings.columns import field_unit
+from lierb.studies.findings.findings import ERRORS, least_drawn
+from lierb.studies.storage.results import Results
 
 AXES = {
     "position": "position error [m]",
@@ -30,3 +36,30 @@ def other_columns(schema: pa.Schema, known: set[str]) -> list[pa.Field]:
 def axis_label(field: pa.Field) -> str:
     unit, title = field_unit(field), field.name.replace("_", " ")
     return f"{title} [{unit}]" if unit not in ("", "1") else title
+
+
+class Ordinate(NamedTuple):
+    """Axis of a figure for a column of the summary.
+
+    label : the quantity and its unit.   title : of the axis.
+    least : largest error that counts as zero, on a logarithmic axis; None on a linear axis.
+    """
+
+    column: str
+    label: str
+    title: str
+    least: float | None
+
+
+def ordinates(dataset: Results, study: Study, columns: Iterable[str]) -> list[Ordinate]:
+    """Return the axes of different columns of the summary; those of errors are logarithmic."""
+    schema, least = dataset.table().schema, least_drawn(dataset, study)
+    kinds = {column: kind for kind, column in ERRORS.items()}
+    axes = []
+    for column in dict.fromkeys(columns):
+        if kind := kinds.get(column):
+            axes.append(Ordinate(column, AXES[kind], f"largest {AXES[kind]}", least[kind]))
+        else:
+            label = axis_label(schema.field(column))
+            axes.append(Ordinate(column, label, label, None))
+    return axes

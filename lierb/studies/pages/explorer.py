@@ -1,16 +1,17 @@
-"""Draw the errors over the sampled numbers interactively, by the extra `lierb[report]`."""
+"""Draw results over the sampled numbers interactively, by the extra `lierb[report]`."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
 
 from lierb.studies.description.study import Study
 from lierb.studies.findings.columns import drawn_columns, ok_columns, some_rows
-from lierb.studies.findings.findings import least_drawn
+from lierb.studies.findings.ranking import Ranking
 from lierb.studies.findings.symbols import labelled
-from lierb.studies.pages.columns import AXES
+from lierb.studies.pages.columns import Ordinate, ordinates
 from lierb.studies.pages.looks import looks, step_sizes
 from lierb.studies.storage.results import Results
 from lierb.support.arrays import Array
@@ -21,24 +22,28 @@ import plotly.graph_objects as go  # noqa: E402
 
 SYMBOLS = ("circle", "diamond", "square", "x")  # markers, from the largest dt to the smallest
 POINTS = 3000  # most dots of a setting, in addition to its worst bodies
-WORST = 5  # bodies with the largest errors of each kind, which are always shown
+WORST = 5  # worst bodies of each ranking, which are always shown
 
 
-def explorer(dataset: Results, study: Study, seen: dict[str, str]) -> str:
-    """Return the HTML of a figure of any error over any sampled number, a dot for each body.
+def explorer(dataset: Results, study: Study, ranked: list[Ranking], errors: Iterable[str]) -> str:
+    """Return the HTML of a figure of results over any sampled number, a dot for each body.
 
-    seen : columns of the errors, by kind.   Returns "" without sampled numbers or ok bodies.
+    errors : columns that the figure has beside those of the rankings.   Returns "" without sampled
+    numbers or ok bodies.
     """
-    drawn, least = drawn_columns(dataset), least_drawn(dataset, study)
+    drawn = drawn_columns(dataset)
+    axes = ordinates(dataset, study, (*(each.column for each in ranked), *errors))
+    columns = [axis.column for axis in axes]
     across: list[dict[str, Array]] = []
     up: list[dict[str, Array]] = []
     figure = go.Figure()
     sizes = step_sizes(study)
     for look in looks(study):
-        rows = ok_columns(dataset, look.setting, ["trajectory", *seen.values(), *drawn])
-        some = _chosen([rows[name] for name in seen.values()])
+        rows = ok_columns(dataset, look.setting, ["trajectory", *columns, *drawn])
+        worst = [each.order(rows[each.column])[:WORST] for each in ranked]
+        some = np.unique(np.concatenate([some_rows(len(rows["trajectory"]), POINTS), *worst]))
         across.append({label: values[some] for label, values in labelled(drawn, rows, study)})
-        up.append({AXES[k]: rows[name][some] for k, name in seen.items()})
+        up.append({name: rows[name][some] for name in columns})
         figure.add_scatter(
             mode="markers", name=look.setting.label, customdata=rows["trajectory"][some],
             marker={"size": 5, "opacity": 0.5, "color": look.key.colour,
@@ -47,21 +52,29 @@ def explorer(dataset: Results, study: Study, seen: dict[str, str]) -> str:
         )  # fmt: skip
     if not any(numbers.size for x in across for numbers in x.values()):
         return ""
-    titles, errors = list(across[0]), list(up[0])
-    for kind in seen:
-        _raise_zeros([each[AXES[kind]] for each in up], least[kind])
+    titles = list(across[0])
+    for axis in axes:
+        if axis.least is not None:
+            _raise_zeros([each[axis.column] for each in up], axis.least)
     for trace, x, y in zip(figure.data, across, up, strict=True):
-        trace.update(x=x[titles[0]], y=y[errors[0]])
+        trace.update(x=x[titles[0]], y=y[columns[0]])
     figure.update_layout(
         template="simple_white", height=560, hovermode="closest",
         margin={"t": 110, "r": 10, "l": 62},
         legend={"orientation": "h", "y": -0.18},
         xaxis={"title": {"text": titles[0]}, "showgrid": True},
-        yaxis={"title": {"text": f"largest {errors[0]}"}, "type": "log", "showgrid": True,
+        yaxis={"title": {"text": axes[0].title}, "type": _scale(axes[0]), "showgrid": True,
                "exponentformat": "power"},
         updatemenus=[
-            _menu("x", {title: [x[title] for x in across] for title in titles}, "", 1.3),
-            _menu("y", {error: [y[error] for y in up] for error in errors}, "largest ", 1.16),
+            _menu("x", 1.3, [
+                (title, {"x": [x[title] for x in across]}, {"xaxis.title.text": title})
+                for title in titles
+            ]),
+            _menu("y", 1.16, [
+                (axis.label, {"y": [y[axis.column] for y in up]},
+                 {"yaxis.title.text": axis.title, "yaxis.type": _scale(axis)})
+                for axis in axes
+            ]),
         ],
     )  # fmt: skip
     html: str = figure.to_html(
@@ -79,20 +92,16 @@ def _raise_zeros(errors: list[Array], least: float) -> None:
         each[each <= least] = floor
 
 
-def _menu(axis: str, choices: dict[str, list[Array]], prefix: str, high: float) -> dict[str, Any]:
-    """Return an axis's menu of numbers.   choices : of each trace, by title.   high : ordinate."""
+def _scale(axis: Ordinate) -> str:
+    return "linear" if axis.least is None else "log"
+
+
+def _menu(
+    axis: str, height: float, choices: list[tuple[str, dict[str, Any], dict[str, Any]]]
+) -> dict[str, Any]:
+    """Return the menu of an axis.   choices : label, changes of the traces and of the layout."""
     buttons = [
-        {
-            "label": f"{axis}: {title}",
-            "method": "update",
-            "args": [{axis: numbers}, {f"{axis}axis.title.text": prefix + title}],
-        }
-        for title, numbers in choices.items()
+        {"label": f"{axis}: {label}", "method": "update", "args": [traces, layout]}
+        for label, traces, layout in choices
     ]
-    return {"buttons": buttons, "x": 0.0, "xanchor": "left", "y": high, "yanchor": "top"}
-
-
-def _chosen(errors: list[Array]) -> Array:
-    """Return the indices of the rows to draw: some, and the worst of each error."""
-    worst = [np.argsort(-error, kind="stable")[:WORST] for error in errors]
-    return np.unique(np.concatenate([some_rows(len(errors[0]), POINTS), *worst]))
+    return {"buttons": buttons, "x": 0.0, "xanchor": "left", "y": height, "yanchor": "top"}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from functools import partial
 from io import BytesIO
 from pathlib import Path
 
@@ -41,8 +42,8 @@ CAPTIONS = {
     "quantities": "What else the bodies' summaries have: a histogram for each setting.",
     "order": "Median, 95 % and largest of the bodies over the step; grey: the method's order.",
     "events": "The share of the bodies to which an event has happened by a time.",
-    "parameters": "A dot is a body: its largest error against each sampled number; zeros on the "
-    "lower edge.",
+    "parameters": "A dot is a body: the column by which bodies are ranked, against each sampled "
+    "number; errors of zero on the lower edge.",
 }
 
 
@@ -64,10 +65,14 @@ def _no_order(study: Study) -> tuple[bool, str]:
     return len(set(study.integrate.dt)) < 2, "there is one dt"
 
 
-def sheets(dataset: Results) -> Iterator[tuple[str, Sheet]]:
-    """Yield the figures that are not left out, by name; a panel without data says so."""
+def sheets(dataset: Results, rank_by: str | None = None) -> Iterator[tuple[str, Sheet]]:
+    """Yield the figures that are not left out, by name; a panel without data says so.
+
+    rank_by : column of "parameters"; see `lierb.studies.findings.ranking.rankings`.
+    """
     study, left_out = study_of(dataset), omitted(dataset)
-    for name, make in KINDS.items():
+    kinds = KINDS | {"parameters": partial(parameter_sheet, rank_by=rank_by)}
+    for name, make in kinds.items():
         if name not in left_out:
             sheet = make(dataset, study)
             if sheet.panels:

@@ -21,9 +21,17 @@ from lierb.results.panels import (
 )
 from lierb.studies.description.study import Study
 from lierb.studies.findings.columns import drawn_columns, ok_columns, some_rows
-from lierb.studies.findings.findings import ERRORS, errors_seen, least_drawn
+from lierb.studies.findings.findings import errors_seen, least_drawn
+from lierb.studies.findings.ranking import rankings
 from lierb.studies.findings.symbols import labelled
-from lierb.studies.pages.columns import AXES, KNOWN, axis_label, other_columns
+from lierb.studies.pages.columns import (
+    AXES,
+    KNOWN,
+    Ordinate,
+    axis_label,
+    ordinates,
+    other_columns,
+)
 from lierb.studies.pages.looks import Look, looks, step_sizes
 from lierb.studies.storage.results import Results
 from lierb.support.arrays import Array
@@ -99,48 +107,45 @@ def _draw_ridges(rows: list[Ridge], least: float, label: str, is_log: bool, pane
     panel.set_xlabel(label, parse_math=False)
 
 
-def parameter_sheet(dataset: Results, study: Study) -> Sheet:
-    """Draw the largest position or rotation error, or energy drift, over sampled numbers."""
+def parameter_sheet(dataset: Results, study: Study, rank_by: str | None = None) -> Sheet:
+    """Draw the column by which the bodies are ranked over sampled numbers."""
     drawn = drawn_columns(dataset)
-    kind, least = next(iter(errors_seen(dataset, study))), least_drawn(dataset, study)
+    (up,) = ordinates(dataset, study, [rankings(dataset, study, rank_by)[0].column])
     largest = [s for s in study.settings if s.step == step_sizes(study)[0]]
     shown = looks(study, largest)
     dots = []
     for look in shown:
-        rows = ok_columns(dataset, look.setting, [ERRORS[kind], *drawn])
-        some = some_rows(len(rows[ERRORS[kind]]), POINTS)
+        rows = ok_columns(dataset, look.setting, [up.column, *drawn])
+        some = some_rows(len(rows[up.column]), POINTS)
         columns = {label: values[some] for label, values in labelled(drawn, rows, study)}
-        dots.append((look, rows[ERRORS[kind]][some], columns))
-    panels = [
-        partial(_draw_dots, dots, label, least[kind], f"largest {AXES[kind]}")
-        for label in dots[0][2]
-    ]
+        dots.append((look, rows[up.column][some], columns))
+    panels = [partial(_draw_dots, dots, label, up) for label in dots[0][2]]
     keys = [Key(look.key.label, look.key.colour, is_dot=True) for look in shown]
-    return Sheet("the largest error against what was sampled", panels, keys, across=3,
+    return Sheet(f"{up.title} against what was sampled", panels, keys, across=3,
                  height=2.8)  # fmt: skip
 
 
 def _draw_dots(
     dots: list[tuple[Look, Array, dict[str, Array]]],
     label: str,
-    least: float,
-    error: str,
+    up: Ordinate,
     panel: Axes,
 ) -> None:
     zeros, on_edge = [], []
-    for n, (look, errors, columns) in enumerate(dots):
+    for n, (look, values, columns) in enumerate(dots):
         size = 2.0 + 2.4 * (len(dots) - 1 - n) / len(dots)  # so that a covered dot keeps its rim
-        heights = positive(errors, least)
-        if errors.size and not np.isfinite(heights).any():
+        heights = values if up.least is None else positive(values, up.least)
+        if up.least is not None and values.size and not np.isfinite(heights).any():
             zeros.append(look.key.label)
             continue
         panel.plot(columns[label], heights, "o", color=look.key.colour, markersize=size,
                    markeredgewidth=0, alpha=0.6, rasterized=True)  # fmt: skip
-        on_edge.append((look, columns[label][np.isnan(heights)]))
+        if up.least is not None:
+            on_edge.append((look, columns[label][np.isnan(heights)]))
     panel.set_xlabel(label, parse_math=False)
-    panel.set_ylabel(error)
+    panel.set_ylabel(up.title, parse_math=False)
     panel.locator_params(axis="x", nbins=5)
-    log_axes(panel, "y", zeros)
+    log_axes(panel, "" if up.least is None else "y", zeros)
     for look, at in on_edge:
         if at.size:
             panel.plot(at, np.zeros(at.size), "|", color=look.key.colour, markersize=7,

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
 import pyarrow as pa
 
 from lierb.results.animation import Animation
@@ -15,7 +14,7 @@ from lierb.results.result import Result
 from lierb.studies.description.settings import Setting
 from lierb.studies.description.study import Study
 from lierb.studies.findings.columns import ok_columns, rows_of
-from lierb.studies.findings.findings import ERRORS, errors_seen
+from lierb.studies.findings.ranking import Ranking
 from lierb.studies.storage.parts import Part
 from lierb.studies.storage.results import IS_SUCCESS, Results
 
@@ -27,34 +26,33 @@ MOST_SPACES = 2  # most settings side by side
 class Chosen:
     """Trajectories to animate, by their description, and the settings to show them in.
 
-    kind : of the error by which they were chosen; None where none got to its end.
+    ranking : ranking by which they were chosen; None where none got to its end.
     """
 
     trajectories: dict[str, int]
     settings: list[Setting]
-    kind: str | None
+    ranking: Ranking | None
 
 
-def chosen(dataset: Results, study: Study) -> Chosen | None:
-    """Choose the trajectory with the largest error and, in its setting, the one with the median.
+def chosen(dataset: Results, study: Study, ranking: Ranking) -> Chosen | None:
+    """Choose the worst trajectory and, in its setting, the median one.
 
     Of a study none of whose bodies got to its end, the first that failed. None without any row.
     """
-    kind, name = next(iter(errors_seen(dataset, study).items()))
     worst: tuple[float, Setting, dict[str, int]] | None = None
     for setting in study.settings:
-        rows = ok_columns(dataset, setting, ["trajectory", name])
-        order = np.argsort(rows[name], kind="stable")
+        rows = ok_columns(dataset, setting, ["trajectory", ranking.column])
+        values, order = rows[ranking.column], ranking.order(rows[ranking.column])
         if not order.size:
             continue
-        largest, middle = order[-1], order[(order.size - 1) // 2]
-        if worst is None or rows[name][largest] > worst[0]:
-            named = {"worst": int(rows["trajectory"][largest])}
+        first, middle = order[0], order[order.size // 2]
+        if worst is None or ranking.is_worse(values[first], worst[0]):
+            named = {"worst": int(rows["trajectory"][first])}
             if rows["trajectory"][middle] != named["worst"]:
                 named["median"] = int(rows["trajectory"][middle])
-            worst = float(rows[name][largest]), setting, named
+            worst = float(values[first]), setting, named
     if worst is not None:
-        return Chosen(worst[2], _beside(study, worst[1]), kind)
+        return Chosen(worst[2], _beside(study, worst[1]), ranking)
     for setting in study.settings:
         rows = dataset.table().head(
             1, columns=["trajectory"], filter=rows_of(setting) & ~IS_SUCCESS
@@ -117,9 +115,8 @@ def _with_states(study: Study, setting: Setting) -> Study:
 
 def description_of(picked: Chosen) -> str:
     """Describe the chosen trajectories in a sentence."""
-    if picked.kind is None:
+    if picked.ranking is None:
         return "No body got to its end: the first that failed, until it did."
-    error = ERRORS[picked.kind].removesuffix("_max").replace("_", " ")
     (worst, *middle) = picked.trajectories.values()
     also = f", trajectory {middle[0]} the median one" if middle else ""
-    return f"Trajectory {worst} has the largest {error} of the bodies{also}."
+    return f"Trajectory {worst} has the {picked.ranking.label} of the bodies{also}."

@@ -16,7 +16,7 @@ from lierb.results.columns import as_array
 from lierb.studies.description.quantiles import CONFIDENCE
 from lierb.studies.description.settings import Setting
 from lierb.studies.description.study import Study
-from lierb.studies.findings.columns import drawn_columns, ok_columns
+from lierb.studies.findings.columns import drawn_columns, field_unit, ok_columns
 from lierb.studies.findings.findings import (
     LABELS,
     QUANTILES,
@@ -29,8 +29,9 @@ from lierb.studies.findings.findings import (
     quantities,
     study_of,
 )
+from lierb.studies.findings.ranking import Ranking, rankings
 from lierb.studies.findings.statistics import PROBABILITIES
-from lierb.studies.findings.tables import first_time, with_interval, with_unit
+from lierb.studies.findings.tables import first_time, named, with_interval, with_unit
 from lierb.studies.pages.replays import chosen, description_of, replayed
 from lierb.studies.storage.parts import Parts
 from lierb.studies.storage.results import IS_SUCCESS, Results, setting_columns
@@ -64,12 +65,15 @@ class Drawn:
     across: int
 
 
-def write_report(dataset: Results, path: str | Path) -> Path:
+def write_report(dataset: Results, path: str | Path, *, rank_by: str | None = None) -> Path:
     """Write the page on a study's finished parts: tables, figures, and how to reproduce them.
 
     dataset : as `lierb.run` returns it, or read; finished or not.   path : of the HTML file.
+    rank_by : column of the summary whose largest numbers are the worst, or `-COLUMN` for the
+        smallest; by default as `lierb.studies.findings.ranking.rankings` chooses.
 
-    Raises StudyFileError if the page would replace a file that is no HTML page.
+    Raises StudyFileError if the page would replace a file that is no HTML page, and
+    UnknownNameError for an unknown column.
     """
     path = Path(path)
     require_page(path)
@@ -81,7 +85,7 @@ def write_report(dataset: Results, path: str | Path) -> Path:
         lstrip_blocks=True,
     )
     study = study_of(dataset)
-    values = _values_of_run(dataset, study) | _values_of_findings(dataset, study)
+    values = _values_of_run(dataset, study) | _values_of_findings(dataset, study, rank_by)
     page = environment.get_template(TEMPLATE).render(zip=zip, study=study, **values)
     write_whole(path, page.encode())
     return path
@@ -103,10 +107,13 @@ def _values_of_run(dataset: Results, study: Study) -> dict[str, Any]:
     }
 
 
-def _values_of_findings(dataset: Results, study: Study) -> dict[str, Any]:
+def _values_of_findings(dataset: Results, study: Study, rank_by: str | None) -> dict[str, Any]:
     """Return the values of the template about the results."""
+    ranked = rankings(dataset, study, rank_by)
+    options = "" if rank_by is None else f" --rank-by={rank_by}"
     summaries, seen, end = findings(dataset), errors_seen(dataset, study), study.integrate.t_end
     return {
+        "options": options,
         "failed": dataset.failures(),
         "failures": _failures(dataset),
         "quantiles": [*(f"{q:.0%}" for q in QUANTILES[:-1]), "all"],
@@ -122,11 +129,11 @@ def _values_of_findings(dataset: Results, study: Study) -> dict[str, Any]:
             (*each[:3], with_interval(each.first, ".3f"), with_interval(each.total, ".3f"))
             for each in indices(dataset)
         ],
-        "figures": [_drawn_sheet(name, sheet) for name, sheet in sheets(dataset)],
+        "figures": [_drawn_sheet(name, sheet) for name, sheet in sheets(dataset, rank_by)],
         "omitted": omitted(dataset),
-        "explorer": explorer(dataset, study, seen),
-        "motion": _motion(dataset, study),
-        "worst": _worst(dataset, study, seen),
+        "explorer": explorer(dataset, study, ranked, seen.values()),
+        "motion": _motion(dataset, study, ranked[0]),
+        "worst": [row for each in ranked for row in _worst(dataset, study, each)],
     }
 
 
@@ -165,9 +172,9 @@ def _drawn_sheet(name: str, sheet: Sheet) -> Drawn:
     return Drawn(name, sheet.title, CAPTIONS[name], panels, keys, sheet.across)
 
 
-def _motion(dataset: Results, study: Study) -> tuple[str, str] | None:
+def _motion(dataset: Results, study: Study, ranking: Ranking) -> tuple[str, str] | None:
     """Return the animation of the worst and the median trajectory, and its description."""
-    picked = chosen(dataset, study)
+    picked = chosen(dataset, study, ranking)
     if picked is None:
         return None
     animation = replayed(study, picked)
@@ -183,25 +190,21 @@ def _data_url(figure: Figure) -> str:
 # ---- bodies ------------------------------------------------------------------------------------
 
 
-def _worst(dataset: Results, study: Study, seen: dict[str, str]) -> list[dict[str, Any]]:
-    """Return the bodies with the largest errors of each kind, and their sampled numbers."""
-    listed = []
-    drawn = drawn_columns(dataset)
-    for kind, name in seen.items():
-        largest = []
-        for setting in study.settings:
-            rows = ok_columns(dataset, setting, ["trajectory", name, *drawn])
-            for i in np.argsort(-rows[name], kind="stable")[:WORST]:
-                draws = {each.removeprefix("sample."): _drawn(rows[each][i]) for each in drawn}
-                error, trajectory = float(rows[name][i]), int(rows["trajectory"][i])
-                largest.append((error, setting, trajectory, draws))
-        largest.sort(key=lambda each: -each[0])
-        listed += [
-            {"kind": LABELS[kind], "error": rounded(error), "setting": setting.label,
-             "trajectory": trajectory, "draws": draws}
-            for error, setting, trajectory, draws in largest[:WORST]
+def _worst(dataset: Results, study: Study, ranking: Ranking) -> list[dict[str, Any]]:
+    """Return the worst bodies, and their sampled numbers."""
+    drawn, worst = drawn_columns(dataset), []
+    unit = field_unit(dataset.table().schema.field(ranking.column))
+    for setting in study.settings:
+        rows = ok_columns(dataset, setting, ["trajectory", ranking.column, *drawn])
+        values = rows[ranking.column]
+        worst += [
+            {"ranking": named(ranking.label, unit), "value": values[i], "setting": setting.label,
+             "trajectory": int(rows["trajectory"][i]),
+             "draws": {each.removeprefix("sample."): _drawn(rows[each][i]) for each in drawn}}
+            for i in ranking.order(values)[:WORST]
         ]  # fmt: skip
-    return listed
+    order = ranking.order(np.array([each["value"] for each in worst]))
+    return [worst[i] for i in order[:WORST]]
 
 
 def _drawn(draw: Any) -> str:
