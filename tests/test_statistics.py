@@ -4,21 +4,38 @@ from __future__ import annotations
 
 import json
 import shutil
+from io import StringIO
 from math import comb
 
 import numpy as np
 import pytest
 from command import invoke
+from rich.console import Console
 from studies import hashes, sorted_rows, tables
 
 import lierb
-from lierb.errors import StudyError, UnknownNameError
+from lierb.errors import ArgumentError, StudyError, UnknownNameError
 from lierb.studies.dataset import Dataset
-from lierb.studies.description.quantiles import quantile_of, share_width
+from lierb.studies.description.quantiles import Quantile, quantile_of, share_width
+from lierb.studies.description.settings import Setting
 from lierb.studies.description.study import Study
 from lierb.studies.execution import cluster
-from lierb.studies.findings.findings import findings, indices, quantities
-from lierb.studies.findings.statistics import percentiles_over_time
+from lierb.studies.findings.findings import (
+    ERRORS,
+    SettingErrors,
+    errors_seen,
+    findings,
+    indices,
+    quantities,
+)
+from lierb.studies.findings.occurrences import Occurred
+from lierb.studies.findings.statistics import Sensitivity, Spread, percentiles_over_time
+from lierb.studies.findings.tables import (
+    table_of,
+    table_of_events,
+    table_of_indices,
+    table_of_quantities,
+)
 
 RULE = "width of 50% of energy_drift_max < 12%"
 
@@ -73,23 +90,81 @@ def whole(tmp_path_factory):
     return dataset
 
 
-def test_findings_have_intervals(whole):
+def test_quantities_have_the_quantiles_asked_for(whole):
     rows = sorted_rows(whole.folder)
-    for found in findings(whole):
-        values = [r["position_error_max"] for r in rows if r["dt"] == found.setting.dt]
-        ordered = np.sort(values)
-        for q, (low, high) in zip((0.5, 0.95), found.intervals["position"], strict=True):
-            wanted = quantile_of(ordered, q)
-            assert (low, high) == (wanted.low, wanted.high)
-            assert low <= wanted.value <= high
+    for spread in quantities(whole, (0.25, 0.9973)):
+        ordered = sorted(r[spread.name] for r in rows if r["dt"] == spread.setting.dt)
+        assert len(ordered) == 400
+        assert [q.value for q in spread.quantiles] == [ordered[99], ordered[398]]
+        assert spread.quantiles == tuple(quantile_of(np.array(ordered), p) for p in (0.25, 0.9973))
 
 
-def test_show_prints_intervals(whole):
+@pytest.mark.parametrize("probability", [95.0, 1.0, 0.0, -0.5, np.nan])
+def test_quantile_of_refuses_what_is_no_probability(probability):
+    with pytest.raises(ArgumentError, match="expected more than 0 and less than 1"):
+        quantile_of(np.arange(3.0), probability)
+
+
+def test_show_prints_quantiles_with_intervals(whole):
     (first, *_) = quantities(whole)
     shown = invoke("show", whole.folder).stdout
-    assert "quantiles, their 95% intervals" in shown
     assert first.name in shown
-    assert f"{first.quantiles[1].low:.3g}…{first.quantiles[1].high:.3g}" in shown
+    for quantile in first.quantiles:
+        assert f"{quantile.low:.3g}…{quantile.high:.3g}" in shown
+    (found, _) = findings(whole)
+    median, _, largest = found.quantiles["energy"]
+    assert f"  {median:.1e}   {largest:.1e}" in shown
+
+
+SIGMAS = "0.135,2.275,15.87,50,84.13,97.725,99.99993"  # −3 to 3 standard deviations, and five
+
+
+def test_show_prints_the_quantiles_asked_for_in_80_columns(whole):
+    shown = invoke("show", whole.folder, "--quantiles", SIGMAS).stdout
+    for percentage in SIGMAS.split(","):
+        assert shown.count(f" {percentage}% ") == 2 * len(errors_seen(whole, study()))
+    *tables, folder = shown.splitlines()
+    assert max(map(len, tables)) <= 80
+    assert str(whole.folder) in folder
+
+
+@pytest.mark.parametrize("given", ["100", "0,50", "nan", "fifty", "50,", ""])
+def test_commands_refuse_what_is_no_percentage(whole, given):
+    refused = invoke("show", whole.folder, "--quantiles", given)
+    assert refused.exit_code == 2
+    assert "expected percentages above 0 and below 100, as 50,95,99.73" in " ".join(
+        refused.stderr.split()
+    )
+
+
+def test_tables_fit_in_80_columns():
+    """Long words of each kind: c-space, method, counts, an observable, an event, numbers."""
+    setting = Setting("SO3xR3", "Rodas5P", None, 1.25e-06)
+    quantiles = [Quantile(p, -1.23e-123, -1.23e-123, -1.23e-123) for p in (0.5, 0.9999)]
+    late = [Quantile(0.5, np.inf, 123.0, np.inf)]
+    error = np.full(3, 1.2e-12)
+    kinds = dict.fromkeys(ERRORS, error), dict.fromkeys(ERRORS, 1.0)
+    index = (0.1234, -0.123, 0.456)
+    shares = Sensitivity(
+        setting, "pointing_error_final", "forces.controller.damping", index, index, 8
+    )
+    made = [
+        table_of([SettingErrors(setting, 10**6, 10**5, *kinds)]),
+        table_of_quantities([Spread(setting, "pointing_error_final", "rad", 8, 3, quantiles)]),
+        table_of_events([Occurred(setting, "saturated", 10**7, 10**6, 10**6, late)], 150.25),
+        table_of_indices([shares, shares._replace(column="work_final")]),
+    ]
+    for table in made:
+        assert max(map(len, _printed(table).splitlines())) <= 80
+    assert "not a number: 3" in _printed(made[1])
+    assert "> 150.25" in _printed(made[2])
+    assert _printed(made[3]).count("forces.controller.damping") == 2
+
+
+def _printed(table) -> str:
+    text = StringIO()
+    Console(file=text, width=200).print(table)
+    return text.getvalue()
 
 
 # ---- enough bodies -----------------------------------------------------------------------------

@@ -81,6 +81,23 @@ SET = click.option(
 )  # fmt: skip
 
 
+def _probabilities(_ctx: click.Context, _param: click.Parameter, given: str) -> tuple[float, ...]:
+    """Parse the option --quantiles: percentages, as probabilities."""
+    try:
+        percents = [float(each) for each in given.split(",")]
+    except ValueError:
+        percents = [0.0]
+    if not all(0.0 < each < 100.0 for each in percents):
+        raise click.BadParameter(
+            f"{given}; expected percentages above 0 and below 100, as 50,95,99.73"
+        )
+    return tuple(sorted({each / 100.0 for each in percents}))
+
+
+QUANTILES = click.option(
+    "--quantiles", "probabilities", metavar="PERCENT,…", default="5,50,95", show_default=True,
+    callback=_probabilities, help="Quantiles of the tables, in percent, as 50,95,99.73.",
+)  # fmt: skip
 RANK_BY = click.option(
     "--rank-by", metavar="COLUMN",
     help="Column of the summary whose largest numbers are the report's worst; -COLUMN: whose "
@@ -119,6 +136,7 @@ RANK_BY = click.option(
 )
 @click.option("--report", is_flag=True, help="Write DIR/report.html at the end.")
 @RANK_BY
+@QUANTILES
 @click.option(
     "--only", type=int, metavar="TRAJECTORY",
     help="Replay the trajectory of this number alone, with everything recorded at each step.",
@@ -137,6 +155,7 @@ def run(
     gather: bool,
     report: bool,
     rank_by: str | None,
+    probabilities: tuple[float, ...],
     only: int | None,
 ) -> None:
     """Run a Monte Carlo STUDY, a TOML file (- for standard input), into a folder of Parquet parts.
@@ -176,9 +195,9 @@ def run(
         again = _to_go_on(study, changes, out, folder)
         click.echo(f"\nStopped. Finished parts are kept; go on with:  {again}", err=True)
         raise click.exceptions.Exit(INTERRUPTED) from None
-    _show(dataset)
+    _show(dataset, probabilities)
     if report:
-        _report(dataset, folder / "report.html", rank_by)
+        _report(dataset, folder / "report.html", rank_by, probabilities)
     _end_with_failures(dataset)
 
 
@@ -230,10 +249,11 @@ def _results_in(folder: Path) -> Dataset:
 
 @click.command()
 @FOLDER
-def show(folder: Path) -> None:
+@QUANTILES
+def show(folder: Path, probabilities: tuple[float, ...]) -> None:
     """Print the summary of a study's results in FOLDER, finished or not."""
     dataset = _results_in(folder)
-    _show(dataset)
+    _show(dataset, probabilities)
     _end_with_failures(dataset)
 
 
@@ -260,10 +280,13 @@ def plot(folder: Path) -> None:
     help="The file to write.  [default: FOLDER/report.html]",
 )  # fmt: skip
 @RANK_BY
-def report_page(folder: Path, out: Path | None, rank_by: str | None) -> None:
+@QUANTILES
+def report_page(
+    folder: Path, out: Path | None, rank_by: str | None, probabilities: tuple[float, ...]
+) -> None:
     """Write a study's results in FOLDER as one HTML page, which opens without a network."""
     dataset = _results_in(folder)
-    _report(dataset, out or folder / "report.html", rank_by)
+    _report(dataset, out or folder / "report.html", rank_by, probabilities)
 
 
 @click.command()
@@ -310,15 +333,18 @@ def _replay(study: Study, folder: Path, trajectory: int, threads: int | None) ->
             click.echo(f"  and {len(events) - MOST_EVENTS} events more")
 
 
-def _report(dataset: Dataset, path: Path, rank_by: str | None) -> None:
+def _report(
+    dataset: Dataset, path: Path, rank_by: str | None, probabilities: tuple[float, ...]
+) -> None:
     require("report")
     from lierb.studies.pages.report import write_report
 
     click.echo("Writing the report ...", err=True)
-    click.echo(str(write_report(dataset, path, rank_by=rank_by)))
+    page = write_report(dataset, path, rank_by=rank_by, probabilities=probabilities)
+    click.echo(str(page))
 
 
-def _show(dataset: Dataset) -> None:
+def _show(dataset: Dataset, probabilities: tuple[float, ...]) -> None:
     from lierb.studies.findings.findings import crossings, findings, indices, quantities
     from lierb.studies.findings.tables import (
         table_of,
@@ -329,8 +355,8 @@ def _show(dataset: Dataset) -> None:
 
     print_whole(table_of(findings(dataset)))
     click.echo()
-    print_whole(table_of_quantities(quantities(dataset)))
-    if events := crossings(dataset):
+    print_whole(table_of_quantities(quantities(dataset, probabilities)))
+    if events := crossings(dataset, probabilities):
         click.echo()
         print_whole(table_of_events(events, dataset.manifest["study"]["integrate"]["t_end"]))
     if sensitivities := indices(dataset):

@@ -6,10 +6,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from lierb.errors import ArgumentError, brief
 from lierb.support.arrays import Array
 from lierb.support.extras import require
 
 CONFIDENCE = 0.95  # level of every interval
+PROBABILITIES = (0.05, 0.5, 0.95)  # of the quantiles that are shown unless others are asked for
 
 
 class Quantile(NamedTuple):
@@ -35,7 +37,13 @@ def quantile_of(ordered: Array, probability: float) -> Quantile:
     """Compute a quantile of sorted numbers, by `scipy.stats.quantile_test`.
 
     The interval is the exact one of Conover, Practical Nonparametric Statistics, 3rd ed., 3.2.
+
+    Raises ArgumentError unless 0 < probability < 1.
     """
+    if not 0.0 < probability < 1.0:
+        raise ArgumentError(
+            f"probability={brief(probability)}; expected more than 0 and less than 1"
+        )
     if not len(ordered):
         return Quantile(probability, np.nan, np.nan, np.nan)
     require("scipy")
@@ -44,6 +52,11 @@ def quantile_of(ordered: Array, probability: float) -> Quantile:
     value = float(np.quantile(ordered, probability, method="inverted_cdf"))
     interval = quantile_test(ordered, q=value, p=probability).confidence_interval(CONFIDENCE)
     return Quantile(probability, value, float(interval.low), float(interval.high))
+
+
+def percent(probability: float) -> str:
+    """Format a probability as a percentage, such as `99.73%`."""
+    return f"{100.0 * probability:.12g}%"
 
 
 def share_width(count: int, of: int) -> float:

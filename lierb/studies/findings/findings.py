@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,7 +13,7 @@ from lierb.analysis.convergence import Order, observed_order
 from lierb.analysis.magnitudes import kinds_of
 from lierb.errors import StudyError
 from lierb.results.failures import has_failed
-from lierb.studies.description.quantiles import quantile_of
+from lierb.studies.description.quantiles import PROBABILITIES, quantile_of
 from lierb.studies.description.settings import Setting
 from lierb.studies.description.study import Study
 from lierb.studies.findings.columns import ok_columns, rows_of
@@ -34,7 +35,7 @@ ERRORS = {
     "energy": "energy_drift_max",
 }
 LABELS = {"position": "position, m", "rotation": "rotation", "energy": "energy, J"}
-QUANTILES = (0.5, 0.95, 1.0)
+QUANTILES = (0.5, 0.95)  # of a setting's errors, beside the largest one
 NEGLIGIBLE = 1e-18  # largest error that counts as zero, relative to the problem's scale
 
 
@@ -43,10 +44,9 @@ class SettingErrors:
     """Errors of the bodies in one setting of a study.
 
     bodies : number of finished bodies.   failed : number of those whose status is not ok.
-    quantiles : of each of ERRORS, at QUANTILES, over the bodies that are ok; NaN if there are none,
-        or if the joint has no rows of that error.
+    quantiles : of each of ERRORS, at QUANTILES, and the largest, over the bodies that are ok; NaN
+        if there are none, or if the joint has no rows of that error.
     sizes : scale of each of ERRORS; see `lierb.studies.findings.sizes`.
-    intervals : confidence interval of each quantile but the largest.
     """
 
     setting: Setting
@@ -54,7 +54,6 @@ class SettingErrors:
     failed: int
     quantiles: dict[str, Array]
     sizes: dict[str, float]
-    intervals: dict[str, Array]
 
 
 def study_of(dataset: Results) -> Study:
@@ -78,29 +77,30 @@ def _found(
     names = ["status", *ERRORS.values()]
     rows: pa.Table = dataset.table().to_table(columns=names, filter=rows_of(setting))
     ok = ~has_failed(rows)
-    quantiles, intervals = {}, {}
+    quantiles = {}
     for kind, name in ERRORS.items():
-        values = rows[name].to_numpy()[ok] if kind in kinds else np.empty(0)
-        ordered = np.sort(values)
-        each = [quantile_of(ordered, p) for p in QUANTILES[:-1]]
-        largest = values.max() if len(values) else np.nan
-        quantiles[kind] = np.array([*(q.value for q in each), largest])
-        intervals[kind] = np.array([(q.low, q.high) for q in each])
+        values = np.sort(rows[name].to_numpy()[ok]) if kind in kinds else np.empty(0)
+        largest = values[-1] if len(values) else np.nan
+        quantiles[kind] = np.array([*(quantile_of(values, p).value for p in QUANTILES), largest])
     sizes = sizes_of(dataset, study, setting)
-    return SettingErrors(setting, len(ok), int((~ok).sum()), quantiles, sizes, intervals)
+    return SettingErrors(setting, len(ok), int((~ok).sum()), quantiles, sizes)
 
 
-def quantities(dataset: Results) -> list[Spread]:
-    """Quantiles, with intervals, of the errors that are not zero and of all observables."""
+def quantities(dataset: Results, probabilities: Sequence[float] = PROBABILITIES) -> list[Spread]:
+    """Return quantiles, with intervals, of the errors that are not zero and of all observables.
+
+    probabilities : of the quantiles; 0.5 is the median.
+    """
     study = study_of(dataset)
     units = {kind: label.partition(", ")[2] or "1" for kind, label in LABELS.items()}
     columns = {name: units[kind] for kind, name in errors_seen(dataset, study).items()}
-    return list(spreads(dataset, study, columns | observed_columns(dataset, study)))
+    columns |= observed_columns(dataset, study)
+    return list(spreads(dataset, study, columns, probabilities))
 
 
-def crossings(dataset: Results) -> list[Occurred]:
-    """Return number and first times of each event of the problem; [] without events."""
-    return list(occurrences(dataset, study_of(dataset)))
+def crossings(dataset: Results, probabilities: Sequence[float] = PROBABILITIES) -> list[Occurred]:
+    """Return number and quantiles of the first time of each event; [] without events."""
+    return list(occurrences(dataset, study_of(dataset), probabilities))
 
 
 def indices(dataset: Results) -> list[Sensitivity]:

@@ -9,11 +9,10 @@ import numpy as np
 import pyarrow.compute as pc
 
 from lierb.results.columns import as_array
-from lierb.studies.description.quantiles import Quantile, quantile_of
+from lierb.studies.description.quantiles import PROBABILITIES, Quantile, quantile_of
 from lierb.studies.description.settings import Setting
 from lierb.studies.description.study import Study
 from lierb.studies.findings.columns import ok_columns, rows_of
-from lierb.studies.findings.statistics import PROBABILITIES
 from lierb.studies.storage.results import Results
 from lierb.support.arrays import Array
 

@@ -12,7 +12,12 @@ import pyarrow.compute as pc
 from lierb.errors import require_name
 from lierb.kernels.systems.observables import KEEPS
 from lierb.results.columns import as_array
-from lierb.studies.description.quantiles import CONFIDENCE, Quantile, quantile_of
+from lierb.studies.description.quantiles import (
+    CONFIDENCE,
+    PROBABILITIES,
+    Quantile,
+    quantile_of,
+)
 from lierb.studies.description.settings import Setting
 from lierb.studies.description.study import Study
 from lierb.studies.findings.columns import field_unit, ok_columns, rows_of
@@ -20,7 +25,6 @@ from lierb.studies.storage.results import IS_SUCCESS, Results
 from lierb.support.arrays import Array
 from lierb.support.extras import require
 
-PROBABILITIES = (0.05, 0.5, 0.95)
 NO_RESULTS = ("t", "dt", "rtol")  # columns of a history that are no results
 MOST_NUMBERS = 2**24  # most numbers read at once from a history: 128 MB
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import io
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,13 +14,12 @@ import numpy as np
 from lierb.analysis.prediction import Prediction, joint_by_joint, predict
 from lierb.errors import LierbError
 from lierb.results.columns import as_array
-from lierb.studies.description.quantiles import CONFIDENCE
+from lierb.studies.description.quantiles import CONFIDENCE, PROBABILITIES, percent
 from lierb.studies.description.settings import Setting
 from lierb.studies.description.study import Study
 from lierb.studies.findings.columns import drawn_columns, field_unit, ok_columns
 from lierb.studies.findings.findings import (
     LABELS,
-    QUANTILES,
     SettingErrors,
     crossings,
     errors_seen,
@@ -30,8 +30,8 @@ from lierb.studies.findings.findings import (
     study_of,
 )
 from lierb.studies.findings.ranking import Ranking, rankings
-from lierb.studies.findings.statistics import PROBABILITIES
-from lierb.studies.findings.tables import first_time, named, with_interval, with_unit
+from lierb.studies.findings.statistics import Spread
+from lierb.studies.findings.tables import named, with_interval
 from lierb.studies.pages.replays import chosen, description_of, replayed
 from lierb.studies.storage.parts import Parts
 from lierb.studies.storage.results import IS_SUCCESS, Results, setting_columns
@@ -65,12 +65,19 @@ class Drawn:
     across: int
 
 
-def write_report(dataset: Results, path: str | Path, *, rank_by: str | None = None) -> Path:
+def write_report(
+    dataset: Results,
+    path: str | Path,
+    *,
+    rank_by: str | None = None,
+    probabilities: Sequence[float] = PROBABILITIES,
+) -> Path:
     """Write the page on a study's finished parts: tables, figures, and how to reproduce them.
 
     dataset : as `lierb.run` returns it, or read; finished or not.   path : of the HTML file.
     rank_by : column of the summary whose largest numbers are the worst, or `-COLUMN` for the
         smallest; by default as `lierb.studies.findings.ranking.rankings` chooses.
+    probabilities : of the quantiles in the tables, more than 0 and less than 1.
 
     Raises StudyFileError if the page would replace a file that is no HTML page, and
     UnknownNameError for an unknown column.
@@ -85,7 +92,9 @@ def write_report(dataset: Results, path: str | Path, *, rank_by: str | None = No
         lstrip_blocks=True,
     )
     study = study_of(dataset)
-    values = _values_of_run(dataset, study) | _values_of_findings(dataset, study, rank_by)
+    values = _values_of_run(dataset, study) | _values_of_findings(
+        dataset, study, rank_by, probabilities
+    )
     page = environment.get_template(TEMPLATE).render(zip=zip, study=study, **values)
     write_whole(path, page.encode())
     return path
@@ -107,24 +116,30 @@ def _values_of_run(dataset: Results, study: Study) -> dict[str, Any]:
     }
 
 
-def _values_of_findings(dataset: Results, study: Study, rank_by: str | None) -> dict[str, Any]:
+def _values_of_findings(
+    dataset: Results, study: Study, rank_by: str | None, probabilities: Sequence[float]
+) -> dict[str, Any]:
     """Return the values of the template about the results."""
-    ranked = rankings(dataset, study, rank_by)
+    ranked, percents = rankings(dataset, study, rank_by), [percent(p) for p in probabilities]
     options = "" if rank_by is None else f" --rank-by={rank_by}"
+    if tuple(probabilities) != PROBABILITIES:
+        options += f" --quantiles={','.join(each.rstrip('%') for each in percents)}"
     summaries, seen, end = findings(dataset), errors_seen(dataset, study), study.integrate.t_end
     return {
         "options": options,
         "failed": dataset.failures(),
         "failures": _failures(dataset),
-        "quantiles": [*(f"{q:.0%}" for q in QUANTILES[:-1]), "all"],
-        "probabilities": [f"{p:.0%}" for p in PROBABILITIES],
+        "percents": percents,
         "confidence": f"{CONFIDENCE:.0%}",
         "errors": [_error_rows(summaries, each) for each in summaries],
         "quantities": [
-            (each.setting, with_unit(each), [with_interval(q[1:]) for q in each.quantiles])
-            for each in quantities(dataset)
+            (each.setting, _named(each), [with_interval(q[1:]) for q in each.quantiles])
+            for each in quantities(dataset, probabilities)
         ],
-        "events": [(each, [first_time(q, end) for q in each.first]) for each in crossings(dataset)],
+        "events": [
+            (each, [with_interval(q[1:], beyond=f"> {end:g}") for q in each.first])
+            for each in crossings(dataset, probabilities)
+        ],
         "indices": [
             (*each[:3], with_interval(each.first, ".3f"), with_interval(each.total, ".3f"))
             for each in indices(dataset)
@@ -158,12 +173,18 @@ def _predictions(study: Study) -> list[tuple[str, Prediction]]:
 def _error_rows(
     summaries: list[SettingErrors], each: SettingErrors
 ) -> tuple[SettingErrors, dict[str, list[str]]]:
-    """Return a setting, and for each error its quantiles and its observed order."""
+    """Return a setting, and for each error the median, the largest, and the observed order."""
     seen = orders(summaries, each)
     return each, {
-        label: [*map(rounded, each.quantiles[kind]), str(seen[kind] or "–")]
+        label: [*map(rounded, each.quantiles[kind][[0, -1]]), str(seen[kind] or "–")]
         for kind, label in LABELS.items()
     }
+
+
+def _named(spread: Spread) -> str:
+    """Format a quantity's name, its unit, and the number of bodies without a number."""
+    name = named(spread.name, spread.unit)
+    return f"{name} (not a number: {spread.undefined})" if spread.undefined else name
 
 
 def _drawn_sheet(name: str, sheet: Sheet) -> Drawn:
