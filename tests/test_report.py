@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import html
 import json
 import re
 import shutil
@@ -97,6 +98,17 @@ def test_page_is_complete(text):
     assert "Unfinished" not in text
 
 
+def test_page_has_the_call_that_replays_each_listed_trajectory(dataset, text):
+    rows = re.findall(r'<td class="n">(\d+)<td>.*<td><code>(dataset.replay\(.*\))</code>', text)
+    assert len(rows) == 10  # five by each of the two errors
+    assert html.unescape(rows[0][1]) in Page(text).texts["pre"][-3]
+    number, call = rows[-1]
+    replay = eval(html.unescape(call), {"dataset": dataset})
+    energy = replay.result.summary["energy_drift_max"].to_pylist()
+    cells = [c for c in Page(text).cells if c[0] == "largest energy_drift_max, J"]
+    assert cells[-1][1:4] == [f"{energy[0]:.3g}", replay.setting.label, number]
+
+
 FOREIGN = ("manifest.json", "study.toml", "summary/part-00000.parquet", "notes.txt", "data.svg")
 
 
@@ -163,6 +175,7 @@ def test_page_shows_what_was_found(dataset, text):
     assert listed[1] == f"{worst['energy_drift_max']:.3g}"
     assert listed[3] == str(worst["trajectory"])
     head = next(c for c in cells if c[:2] == ["ranked by", "value"])
+    assert head[-1] == "in Python"
     assert head[3] == "trajectory"  # as the tables have it
 
 
@@ -219,6 +232,7 @@ def test_unfinished_and_failed_bodies_are_told(tmp_path):
     told = f"<b>{failures.count} of {failures.runs} runs failed</b>: {failures.count} non_finite"
     assert text.index("<h1>") < text.index(told) < text.index('class="lead"') < text.index("<h2")
     assert f"--only {failures.trajectory}" in page.texts["pre"][0]
+    assert f"dataset.replay({failures.trajectory}, cspace=" in text[text.index('id="failed"') :]
     assert "No run failed" not in text
     assert f"Unfinished: {PARTS - len(last)} of {PARTS} parts." in " ".join(page.texts["p"])
     assert "Bodies that failed" in page.texts["h2"]

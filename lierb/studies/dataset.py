@@ -23,17 +23,52 @@ study.toml is written again. Other files in the folder are not touched.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Self
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Self
 
+from lierb.model.mechanism.mechanism import Mechanism
+from lierb.model.problem import Problem
+from lierb.results.result import Result
 from lierb.studies.description.sections.running import IntegrateSection
-from lierb.studies.description.settings import settings_label
+from lierb.studies.description.settings import Setting, settings_label
 from lierb.studies.description.study_tables import tables_of_study
+from lierb.studies.findings.findings import study_of
+from lierb.studies.storage.parts import Part
+from lierb.studies.storage.replaying import only_setting, require_trajectory, with_history
 from lierb.studies.storage.results import Results
 from lierb.support.extras import require
 from lierb.support.representations import FAILED, Lines
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+
+@dataclass(frozen=True)
+class Replay:
+    """Trajectory of a study that was integrated again, as `Dataset.replay` returns it.
+
+    `lierb.integrate(replay.problem, pose0=replay.pose0, twist0=replay.twist0, …)` starts the same
+    body with other options.
+
+    Attributes
+    ----------
+    problem : Problem or Mechanism
+        The trajectory's own, with its sampled numbers.
+    pose0 : (4, 4) array or dict
+        Initial pose; of a mechanism by link. None for the closed joint, `problem.joint.pose()`.
+    twist0 : (6,) array or dict
+        Initial twist (omega, v) in body axes, rad/s and m/s; of a mechanism by link.
+    result : lierb.Result
+        Result of one trajectory, with its whole history: state, energy, multipliers, reactions.
+    setting : Setting
+        `cspace`, `method`, and `dt` or `rtol`.
+    """
+
+    problem: Problem | Mechanism
+    pose0: Any
+    twist0: Any
+    result: Result
+    setting: Setting
 
 
 class Dataset(Results):
@@ -91,6 +126,77 @@ class Dataset(Results):
 
         self._read_once()
         return figure(self, name)
+
+    def replay(
+        self,
+        trajectory: int,
+        *,
+        cspace: str | None = None,
+        method: str | None = None,
+        dt: float | None = None,
+        rtol: float | None = None,
+        save_every: int = 1,
+        threads: int | None = None,
+    ) -> Replay:
+        """Integrate one trajectory of the study again, with everything recorded.
+
+        Its row of the summary, and its events, are those of the study, bit for bit, on the same
+        kind of CPU with the same versions.
+
+        Parameters
+        ----------
+        trajectory : int
+            Number of the trajectory, as in the tables.
+        cspace : str, optional
+            C-space of the setting; needed, as are the next three, if the study has several.
+        method : str, optional
+            Method of the setting.
+        dt : float, optional
+            Step of the setting, s.
+        rtol : float, optional
+            Relative tolerance of the setting.
+        save_every : int, optional
+            Number of steps between rows of the history. With adaptive steps its times are 1001
+            equidistant ones and those of the study.
+        threads : int, optional
+            As in `lierb.integrate`.
+
+        Returns
+        -------
+        Replay
+            The problem, its start and its result.
+
+        Raises
+        ------
+        StudyError
+            The study has no such trajectory.
+        ArgumentError
+            No setting, or more than one, has these values.
+        MemoryLimitError
+            The history is larger than the free memory; a larger `save_every` helps.
+
+        Examples
+        --------
+        >>> import tempfile
+        >>> import lierb
+        >>> box = lierb.bodies.box((0.1, 0.2, 0.3), mass=1.0)
+        >>> ball = lierb.joints.spherical(body_point=(0.0, 0.0, 0.15))
+        >>> spins = lierb.sampling.Direction(length=2.0)
+        >>> design = lierb.sampling.Design({"initial.omega": spins}, n=100)
+        >>> with tempfile.TemporaryDirectory() as out:
+        ...     dataset = lierb.run(lierb.Problem(box, ball), design, out, dt=1e-2, t_end=0.1)
+        ...     replay = dataset.replay(17)
+        >>> replay.result.omega.shape, replay.twist0.shape
+        ((11, 1, 3), (6,))
+        """
+        self._read_once()
+        study = study_of(self)
+        number = require_trajectory(study, trajectory)
+        given = {"cspace": cspace, "method": method, "dt": dt, "rtol": rtol}
+        setting = only_setting(study, given)
+        recorded = with_history(study, save_every)
+        batch, result = Part("", setting, number, 1).run(recorded, study.design, threads)
+        return Replay(*batch.alone(0), result, setting)
 
     def _representation(self) -> tuple[str, Lines]:
         if not self.manifest:

@@ -44,10 +44,17 @@ class Batch:
     @property
     def first(self) -> tuple[Any, Any]:
         """Return problem and pose of the first body alone."""
-        poses = self.pose0
-        if isinstance(poses, dict):
-            return self.problem.of_body(0), {name: pose[0] for name, pose in poses.items()}
-        return self.problem.of_body(0), None if poses is None else poses[0]
+        return self.alone(0)[:2]
+
+    def alone(self, body: int) -> tuple[Problem | Mechanism, Any, Any]:
+        """Return problem, pose and twist of one body.   body : its number in the batch."""
+        return self.problem.of_body(body), _of_body(self.pose0, body), _of_body(self.twist0, body)
+
+
+def _of_body(arrays: Any, body: int) -> Any:
+    if isinstance(arrays, dict):
+        return {name: array[body] for name, array in arrays.items()}
+    return None if arrays is None else arrays[body]
 
 
 def batch_of(study: StudyTables, first: int, count: int, design: Design | None = None) -> Batch:

@@ -7,22 +7,17 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pyarrow as pa
 
 from lierb.api import integrate_model
-from lierb.errors import StudyError
 from lierb.studies.description.settings import Setting
 from lierb.studies.description.study import Study
 from lierb.studies.execution.opening import loaded
 from lierb.studies.storage.parts import Part
+from lierb.studies.storage.replaying import require_trajectory, with_history
 from lierb.support.collected_warnings import warnings_collected
 
-REPLAYED = 1000  # equal intervals of the history of a replay with adaptive steps
-REPLAY = (
-    "lierb.studies.execution.replaying.replay, or `lierb run STUDY --only NUMBER`, shows all that "
-    "one of them did"
-)
+REPLAY = "`lierb run STUDY --only NUMBER`, or `Dataset.replay`, shows all that one of them did"
 
 
 def replay(
@@ -30,33 +25,17 @@ def replay(
 ) -> list[tuple[Setting, dict[str, pa.Table]]]:
     """Integrate one trajectory of a study, with everything recorded, in each setting.
 
-    save_every : steps between rows of its history; with adaptive steps the rows are at REPLAYED
-        equal intervals, and at the study's own times.
+    save_every : see `lierb.studies.storage.replaying.with_history`.
 
     Its row of the summary, and its events, are those of the study, bit for bit.
     """
     given, _ = loaded(study)
-    last = len(given.design) - 1
-    if not 0 <= trajectory <= last:
-        raise StudyError(f"there is no trajectory {trajectory} in the study; it has 0 … {last}")
-    recorded = _with_history(given, save_every)
+    trajectory = require_trajectory(given, trajectory)
+    recorded = with_history(given, save_every)
     return [
         (setting, Part("", setting, trajectory, 1).tables(recorded, given.design, threads))
         for setting in recorded.settings
     ]
-
-
-def _with_history(study: Study, save_every: int) -> Study:
-    """Return the study with its whole history recorded."""
-    run = study.integrate
-    changes: dict[str, Any] = {"save_every": save_every, "save_at": None}
-    if run.is_adaptive:
-        times = np.linspace(run.t0, run.t_end, REPLAYED + 1)
-        if run.times is not None:
-            times = np.union1d(times, np.clip(run.times, run.t0, run.t_end))
-        changes = {"save_every": None, "save_at": times.tolist()}
-    changes["record"] = ["state", "energy", "multipliers", "reaction"]
-    return study.model_copy(update={"integrate": run.model_copy(update=changes)})
 
 
 def compile_for(

@@ -5,12 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-import pyarrow as pa
-
 from lierb.results.animation import Animation
 from lierb.results.animation.scene import scene_of
 from lierb.results.colours import CSPACE_NAMES
-from lierb.results.result import Result
 from lierb.studies.description.settings import Setting
 from lierb.studies.description.study import Study
 from lierb.studies.findings.columns import ok_columns, rows_of
@@ -72,29 +69,21 @@ def _beside(study: Study, setting: Setting) -> list[Setting]:
 def replayed(study: Study, picked: Chosen) -> Animation:
     """Integrate the chosen trajectories again, each as in the study, and animate them.
 
-    See `lierb.studies.execution.replaying.replay`.
+    See `lierb.studies.dataset.Dataset.replay`.
     """
     views = []
     for what, trajectory in picked.trajectories.items():
-        problem = study.batch(trajectory, 1).problem.of_body(0)
         for setting in picked.settings:
-            tables = Part("", setting, trajectory, 1).tables(
-                _with_states(study, setting), study.design, None
-            )
-            result = Result(_without_draws(tables["summary"]), tables["history"])
+            recorded = _with_states(study, setting)
+            batch, result = Part("", setting, trajectory, 1).run(recorded, study.design)
             ((status, t),) = zip(*(result.summary[n].to_pylist() for n in ("status", "t")))
             space = CSPACE_NAMES.get(setting.cspace, setting.cspace)
             label = f"{what}: {trajectory}, {space}"
             label += "" if status == "ok" else f", {status} at {t:g} s"
-            views.append((label, result, problem, 0))
+            views.append((label, result, batch.problem.of_body(0), 0))
     run = picked.settings[0]
     title = f"{study.name}: {run.method}, {run.step_label}"
     return Animation(scene_of(views, title=title, shape=None, trail=True, frames=FRAMES))
-
-
-def _without_draws(summary: pa.Table) -> pa.Table:
-    """Return the summary of `integrate`: a sampled rotation would be taken for a link's."""
-    return summary.select([n for n in summary.column_names if not n.startswith("sample.")])
 
 
 def _with_states(study: Study, setting: Setting) -> Study:

@@ -34,6 +34,7 @@ from lierb.studies.findings.statistics import Spread
 from lierb.studies.findings.tables import named, with_interval
 from lierb.studies.pages.replays import chosen, description_of, replayed
 from lierb.studies.storage.parts import Parts
+from lierb.studies.storage.replaying import call_of
 from lierb.studies.storage.results import IS_SUCCESS, Results, setting_columns
 from lierb.support.extras import require
 from lierb.support.files import require_page, write_whole
@@ -128,7 +129,7 @@ def _values_of_findings(
     return {
         "options": options,
         "failed": dataset.failures(),
-        "failures": _failures(dataset),
+        "failures": _failures(dataset, study),
         "percents": percents,
         "confidence": f"{CONFIDENCE:.0%}",
         "errors": [_error_rows(summaries, each) for each in summaries],
@@ -221,6 +222,7 @@ def _worst(dataset: Results, study: Study, ranking: Ranking) -> list[dict[str, A
         worst += [
             {"ranking": named(ranking.label, unit), "value": values[i], "setting": setting.label,
              "trajectory": int(rows["trajectory"][i]),
+             "call": call_of(study, setting, int(rows["trajectory"][i])),
              "draws": {each.removeprefix("sample."): _drawn(rows[each][i]) for each in drawn}}
             for i in ranking.order(values)[:WORST]
         ]  # fmt: skip
@@ -233,9 +235,12 @@ def _drawn(draw: Any) -> str:
     return f"({numbers})" if np.ndim(draw) else numbers
 
 
-def _failures(dataset: Results) -> list[dict[str, Any]]:
+def _failures(dataset: Results, study: Study) -> list[dict[str, Any]]:
     """Return rows of the first bodies that failed."""
     table = dataset.table()
     columns = [*setting_columns(table.schema), "trajectory", "status", "t"]
     rows: list[dict[str, Any]] = table.head(FAILED, columns=columns, filter=~IS_SUCCESS).to_pylist()
-    return [{"setting": Setting.of_row(row).label, **row} for row in rows]
+    for row in rows:
+        setting = Setting.of_row(row)
+        row |= {"setting": setting.label, "call": call_of(study, setting, row["trajectory"])}
+    return rows

@@ -11,6 +11,7 @@ import pyarrow as pa
 
 from lierb.api import integrate_model
 from lierb.results.columns import as_array, numbers, repeated, vectors
+from lierb.results.result import Result
 from lierb.results.tables import event_row_bytes, history_row_bytes
 from lierb.runs.lane_engine import SHARES
 from lierb.sampling import Design
@@ -52,6 +53,22 @@ class Part:
         self, study: Study, design: Design, threads: int | None, progress: Progress | None = None
     ) -> dict[str, pa.Table]:
         """Integrate the bodies; return `summary`, and `history` and `events` if there are any."""
+        batch, result = self.run(study, design, threads, progress)
+        tables = {"summary": _with_draws(self._labelled(result.summary), study, batch)}
+        if result.history is not None:
+            tables["history"] = self._labelled(result.history)
+        if result.events is not None:
+            tables["events"] = self._labelled(result.events)
+        return tables
+
+    def run(
+        self,
+        study: Study,
+        design: Design,
+        threads: int | None = None,
+        progress: Progress | None = None,
+    ) -> tuple[Batch, Result]:
+        """Integrate the bodies; return them and the result, which numbers them from 0."""
         batch = study.batch(self.first, self.count, design)
         own: dict[str, Any] = {}
         if study.problem.controllers:  # noise depends on a trajectory's number in the study
@@ -67,12 +84,7 @@ class Part:
                 threads=threads,
                 progress=progress or False,
             )
-        tables = {"summary": _with_draws(self._labelled(result.summary), study, batch)}
-        if result.history is not None:
-            tables["history"] = self._labelled(result.history)
-        if result.events is not None:
-            tables["events"] = self._labelled(result.events)
-        return tables
+        return batch, result
 
     def _labelled(self, table: pa.Table) -> pa.Table:
         """Number the trajectories as in the study, and insert columns of the setting."""
