@@ -138,7 +138,7 @@ class Space:
         if at.joint is not None:
             frames = pose_components(at.joint.body_frame), pose_components(at.joint.ground_frame)
         inner, outer = self._outer(at.body, frames[0]), self._outer(at.parent, frames[1])
-        rows = tuple(r for r in at.rows if r.is_holonomic)
+        rows = tuple(r for r in at.rows if r.is_holonomic and not r.depends_on_time)
         nodes = self.nodes[at.body], self.nodes[at.parent]
         return Place(at, *nodes, inner, outer, self.mechanism.constants(at), rows)
 

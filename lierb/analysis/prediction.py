@@ -291,11 +291,15 @@ def _of_space(space: Space, placed: list[Pose], update: str) -> JointPredictions
     for number, place in enumerate(space.places):
         exact = completion.exact[first : first + len(place.rows)]
         first += len(place.rows)
-        if number >= len(space.mechanism.joints) and not place.rows:
-            continue  # the rows of motors are of velocities
+        driven = tuple(r for r in place.at.rows if r.is_holonomic and r.depends_on_time)
+        rows = (*place.rows, *driven)
+        if number >= len(space.mechanism.joints) and not rows:
+            continue  # the row of a motor's speed is of velocities
+        # the integral of a rate that depends on time has the method's error
+        exact = np.append(exact, [False] * len(driven))
         group, dimension = _projection(space, completion.algebra, space.path(place))
         predictions[_key(place, predictions)] = _prediction(
-            space.cspace, group, dimension, place.rows, exact, _why(space, place, group)
+            space.cspace, group, dimension, rows, exact, _why(space, place, group)
         )
     return JointPredictions(predictions, len(completion.algebra))
 

@@ -3,11 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from lierb.errors import ArgumentError, ForceError, TwistError, body_label, brief, items_of
+from lierb.errors import (
+    ArgumentError,
+    ForceError,
+    PoseError,
+    TwistError,
+    body_label,
+    brief,
+    items_of,
+)
 from lierb.kernels.mechanics.rows import Rows, keeps_axis, slides, turns
 from lierb.kernels.numbers.arithmetic import plain
 from lierb.model.functions.binding import bound, columns_of, require_different_events
@@ -48,6 +57,7 @@ def require(argument: str, value: object, kind: type, expected: str) -> None:
 def _checked(argument: str, given: Any, kind: type[Element], joint: Joint) -> tuple[Element, ...]:
     one, expected = (f"{words} made by lierb" for words in kind.words)
     elements = items_of(argument, given, expected) if isinstance(given, Iterable) else (given,)
+    fitting = []
     for number, element in enumerate(elements):
         label = f"{argument}[{number}]"
         reject_functions(label, element)
@@ -57,8 +67,8 @@ def _checked(argument: str, given: Any, kind: type[Element], joint: Joint) -> tu
                 f"{label} is on {' and '.join(element.at)}; a Problem has one body and no names: "
                 "leave .on(…) out, or make a lierb.Mechanism"
             )
-        require_fit(element, joint)
-    return elements
+        fitting.append(fitted(element, joint))
+    return tuple(fitting)
 
 
 def bind(problem: Any) -> None:
@@ -75,11 +85,12 @@ def bind(problem: Any) -> None:
     require_free(problem.observables, columns_of((*problem.states, *problem.controllers)))
 
 
-def require_fit(element: Element, joint: Joint) -> None:
-    """Raise ForceError if the element has changed or cannot act at the joint."""
+def fitted(element: Any, joint: Joint) -> Any:
+    """Return the element for a joint. Raises ForceError if it has changed or cannot act there."""
     element.require_unchanged()
     if not element.kind.needs_axis:
-        return
+        return element
+    element = replace(element, kind=element.kind.on_joint(joint.rows))
     name = f"{element.name} on {element.at[0]!r}" if element.at else element.name
     acts = f"{name} acts {'along' if element.kind.needs_slide else 'about'} the joint axis"
     if not keeps_axis(joint.rows):
@@ -98,6 +109,7 @@ def require_fit(element: Element, joint: Joint) -> None:
             "revolute, or what acts along the axis: motor(force=…), slide_spring, slide_friction "
             "or slide_limit"
         )
+    return element
 
 
 def unfit_rate(rows: Rows, rates: Iterable[Any], t0: float) -> TwistError | None:
@@ -107,7 +119,20 @@ def unfit_rate(rows: Rows, rates: Iterable[Any], t0: float) -> TwistError | None
         for body in np.flatnonzero(~np.isfinite(each))[:1]:
             return TwistError(
                 f"{body_label('the speed', int(body), each.size)} that {row} prescribes is "
-                f"{each[body]} rad/s at t0={t0:g} s, and no twist has it; give a function that has "
-                "a value there, or another t0"
+                f"{each[body]} {'m/s' if row.is_translational else 'rad/s'} at t0={t0:g} s, and no "
+                "twist has it; give a function that has a value there, or another t0"
+            )
+    return None
+
+
+def unfit_place(rows: Rows, places: Iterable[Any], t0: float) -> PoseError | None:
+    """Error for the first prescribed position of a motor that is not finite at t0."""
+    for row, place in zip(rows, places, strict=True):
+        each = np.atleast_1d(plain(place))
+        for body in np.flatnonzero(~np.isfinite(each))[:1]:
+            return PoseError(
+                f"{body_label('the position', int(body), each.size)} that {row} prescribes is "
+                f"{each[body]} {'m' if row.is_translational else 'rad'} at t0={t0:g} s, and no "
+                "pose has it; give a function that has a value there, or another t0"
             )
     return None

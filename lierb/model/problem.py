@@ -26,7 +26,7 @@ from lierb.kernels.systems.layout import INPUTS
 from lierb.kernels.systems.plan import Plan
 from lierb.kernels.systems.system_of import plan_of
 from lierb.kernels.tracing.cpu import DEFAULT_LANES
-from lierb.model.acting import _checked, require, unfit_rate
+from lierb.model.acting import _checked, require, unfit_place, unfit_rate
 from lierb.model.base import Model, numbers_of, parameters_of
 from lierb.model.bodies.body import Body
 from lierb.model.connections import NOWHERE, Connection
@@ -255,7 +255,7 @@ class Problem(Model):
         """Return the constants of the body and its elements for the formulas of a c-space."""
         return kinds.body_with(space, self.parameters(), self.kinds, numbers_of(self.elements))
 
-    def close(self, pose: Any) -> Array:
+    def close(self, pose: Any, *, t0: float = 0.0) -> Array:
         """Find a pose near `pose` that closes the joint, by Newton's method on its rows.
 
         Every step is the screw motion X of least XᵀMX, the kinetic-energy metric, that cancels the
@@ -267,6 +267,8 @@ class Problem(Model):
         ----------
         pose : array_like or RigidTransform, shape (4, 4) or (n, 4, 4)
             Pose near the joint.
+        t0 : float, optional
+            Time at which the position of a motor is evaluated, s.
 
         Returns
         -------
@@ -288,12 +290,12 @@ class Problem(Model):
         >>> hinge.coordinates(pendulum.close(off)).round(2).tolist()
         [0.5]
         """
-        poses = as_poses("pose", pose)
+        poses, start = as_poses("pose", pose), as_number("t0", t0)
         self.batch_size(pose=(poses, 2))
         with np.errstate(all="ignore"):  # with an overflow it does not converge
-            return self._closed(poses)
+            return self._closed(poses, start)
 
-    def _closed(self, poses: Array) -> Array:
+    def _closed(self, poses: Array, t0: float) -> Array:
         rows, parameters = self.rows, self.parameters()
         placed, at_rest = SE3.to_joint_axes(parameters, pose_components(poses), (0.0,) * 6)
         length = length_of(parameters)
@@ -302,7 +304,9 @@ class Problem(Model):
         # Positions in users' functions are relative to the origins of the users' frames.
         rounding = rounding_of(parameters, pose_components(poses))
         for _ in range(NEWTON_STEPS):
-            x = SE3.kinematics(body, placed, at_rest)
+            x = SE3.kinematics(body, placed, at_rest)._replace(time=t0)
+            if error := unfit_place(rows, [r.prescribed_place(x, body) for r in rows], t0):
+                raise error
             off = residuals(rows, x, body)
             here = ROUNDING * norm((0.0, *placed[1]))
             closed = np.isfinite(small)  # infinite lengths would accept any residual
@@ -343,7 +347,7 @@ class Problem(Model):
         pose : array_like or RigidTransform, shape (4, 4) or (n, 4, 4), optional
             Pose of the body. Default: the closed joint.
         t0 : float, optional
-            Time at which the speed of a motor is evaluated, s.
+            Time at which the speed or position of a motor is evaluated, s.
 
         Returns
         -------

@@ -14,7 +14,7 @@ from lierb.kernels.numbers.zero import ZERO
 
 def holds_a_point(rows: Rows) -> bool:
     """Return whether the rows fix the joint's point in all directions."""
-    return {0, 1, 2} <= {r.held_axis for r in rows}
+    return {0, 1, 2} <= {r.held_axis for r in rows if r.is_of_joint}
 
 
 def held_axes(rows: Rows) -> list[int]:

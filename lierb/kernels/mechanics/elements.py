@@ -32,7 +32,7 @@ from lierb.kernels.mechanics.newton_euler import (
     frames_of,
     inertia_about_com,
 )
-from lierb.kernels.mechanics.rows import AddedRow, HeldBody
+from lierb.kernels.mechanics.rows import AddedRow, HeldBody, Rows
 from lierb.kernels.mechanics.scale import ROUNDING
 from lierb.kernels.numbers.arithmetic import PI, absolute, flatten, fma, plain, where
 from lierb.kernels.numbers.number import Number
@@ -119,6 +119,10 @@ class Element:
     def row(self, place: int, i: int) -> AddedRow:
         """Row of constraint i; `place` is the element's index in the problem."""
         raise NotImplementedError
+
+    def on_joint(self, rows: Rows) -> Element:
+        """Return the element for a joint with these rows."""
+        return self
 
     def placed(self, given: dict[str, Any], frames: Frames) -> tuple[Any, ...]:
         return tuple(given.values())
@@ -315,9 +319,9 @@ class UserRow(AddedRow):
         for axis in range(3):
             along = row(r, axis)
             rate = cross(along, omega)  # (aᵀ ω̂)ᵀ = a×ω
-            entries += [_second(*xs) for xs in zip(along, rate, cross(rate, omega), strict=True)]
+            entries += [second(*xs) for xs in zip(along, rate, cross(rate, omega), strict=True)]
         bend = mat_vec(r, mat_vec(frame.axes, add(x.point_bias, swing)))
-        places = [_second(*xs) for xs in zip(place, mat_vec(r, v), bend, strict=True)]
+        places = [second(*xs) for xs in zip(place, mat_vec(r, v), bend, strict=True)]
         h = self._of(body, tuple(entries), tuple(places))
         slope = h.parts[0] if isinstance(h, UserNumber) else ZERO
         return -slope.parts[0] if isinstance(slope, UserNumber) and slope.parts else ZERO
@@ -328,7 +332,7 @@ def _moving(values: Vec, rates: Vec) -> Vec:
     return tuple(UserNumber(plain(x), (rate,)) for x, rate in zip(values, rates, strict=True))
 
 
-def _second(value: Any, rate: Any, bend: Any) -> UserNumber:
+def second(value: Any, rate: Any, bend: Any) -> UserNumber:
     """A number with its first and second derivative."""
     return UserNumber(UserNumber(plain(value), (rate,)), (UserNumber(plain(rate), (bend,)),))
 

@@ -75,7 +75,7 @@ def twist_tolerances(
     speed = norm(cross_add(omega, p.com, twist[3:])) + length * norm(omega)
     rate = sqrt(norm(p.gravity) / length)  # rad/s
     for r in rows:
-        if not r.is_holonomic:
+        if r.depends_on_time:
             rate = rate + sqrt(absolute(r.acceleration(x, body)))
     rounding = ROUNDING * rate
     return TwistTolerances(

@@ -64,7 +64,7 @@ class Projection(TreeAccelerations):
         most = fma(h, speed, UNMOVED * length)
         mark = where(way > most, 1.0, mark)
         change = self._onto_rows(body, chart, state.v_or_mu, time)
-        if all(row.is_holonomic for _, row in self.rows):
+        if not any(row.depends_on_time for _, row in self.rows):
             mark = where(h * length * size_of(length, change) > most * most, 1.0, mark)
         kept = state._replace(chart=chart, v_or_mu=add(state.v_or_mu, change))
         return Stabilised(kept, mark, x, change)

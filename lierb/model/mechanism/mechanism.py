@@ -191,7 +191,7 @@ class Mechanism(TreeKinematics):
 
     # ---- closing ---------------------------------------------------------------------------------
 
-    def close(self, pose: ByLink) -> dict[str, Array]:
+    def close(self, pose: ByLink, *, t0: float = 0.0) -> dict[str, Array]:
         """Find poses near `pose` that close all joints and loops, by Newton's method.
 
         Every step is the motion of least kinetic energy that cancels the residuals, as in
@@ -202,6 +202,8 @@ class Mechanism(TreeKinematics):
         ----------
         pose : dict
             Poses of all links, (4, 4) or (n, 4, 4).
+        t0 : float, optional
+            Time at which the positions of motors are evaluated, s.
 
         Returns
         -------
@@ -211,7 +213,8 @@ class Mechanism(TreeKinematics):
         Raises
         ------
         PoseError
-            The iteration does not converge; the message has the largest residual and its joint.
+            The iteration does not converge; the message has the largest residual and its joint. Or
+            the position that a motor prescribes is not finite.
 
         Examples
         --------
@@ -234,7 +237,7 @@ class Mechanism(TreeKinematics):
         [-0.523599]
         """
         with np.errstate(all="ignore"):  # with an overflow it does not converge
-            poses = closed(self, self.pose_arrays("pose", pose))
+            poses = closed(self, self.pose_arrays("pose", pose), as_number("t0", t0))
         return self._checked("the closed pose", poses)
 
     def project(
@@ -249,7 +252,7 @@ class Mechanism(TreeKinematics):
         pose : dict, optional
             Poses of all links. Default: all coordinates 0.
         t0 : float, optional
-            Time at which the speeds of motors are evaluated, s.
+            Time at which the speeds and positions of motors are evaluated, s.
 
         Returns
         -------

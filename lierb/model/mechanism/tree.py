@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from lierb.errors import ArgumentError, items_of, unknown_name
 from lierb.kernels.mechanics.rows import Rows
-from lierb.model.acting import require, require_fit
+from lierb.model.acting import fitted, require
 from lierb.model.base import Model
 from lierb.model.bodies.body import Body
 from lierb.model.connections import NOWHERE, Connection
@@ -240,8 +240,7 @@ class Tree(Model):
                 )
             element = replace(element, at=self.names)
         if element.kind.needs_axis:
-            self._require_joint(label, element)
-            return element
+            return self._on_joint(label, element)
         others = [x for x in (*self.names, GROUND) if x != element.at[0]]
         for name, known in zip(element.at, (self.names, others), strict=False):
             if name not in known:
@@ -249,7 +248,7 @@ class Tree(Model):
         element.require_unchanged()
         return element
 
-    def _require_joint(self, label: str, element: Element) -> None:
+    def _on_joint(self, label: str, element: Element) -> Any:
         owners = {x.name: x.joint for x in self.links_and_loops}
         if len(element.at) > 1:
             raise ArgumentError(
@@ -259,7 +258,7 @@ class Tree(Model):
         (name,) = element.at
         if name not in owners:
             raise unknown_name(f"{label}, {element.name}: on", name, owners)
-        require_fit(element, owners[name])
+        return fitted(element, owners[name])
 
     # ---- interface of a model --------------------------------------------------------------------
 

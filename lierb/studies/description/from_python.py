@@ -273,9 +273,8 @@ def _element(element: Element, code: dict[str, str]) -> dict[str, Any]:
                 f"{element.name} is made of a function of time, which no file can name; write it "
                 "with @lierb.wrench in a file"
             )
-        if isinstance(element.kind, forces.BodyWrench):
-            parameters["frame"] = "body"
-        return {"type": element.name, **parameters, **placed}
+        assert isinstance(element.kind, forces.BuiltIn)
+        return {"type": element.name, **parameters, **element.kind.options, **placed}
     file, text, name = source_of(element.made_by)
     if code.setdefault(file, text) != text:
         raise StudyError(f"two different files are called {file}; rename one of them")
