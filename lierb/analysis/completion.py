@@ -20,7 +20,7 @@ from lierb.analysis.completion_space import Configurations, Place, RowValues, Sp
 from lierb.analysis.hull import hull
 from lierb.kernels.mechanics.scale import ROUNDING, START_TOLERANCE
 from lierb.model.mechanism.closing import DAMPING
-from lierb.model.mechanism.row_system import Decomposed
+from lierb.model.mechanism.decomposition import Decomposed
 from lierb.support.arrays import Array, Pose
 
 Mask = Any  # array of bool
@@ -192,10 +192,16 @@ class Completion:
         return basis
 
     def _kept(self) -> Mask:
-        """Return a mask of the rows that are constant on a random sample of C₀K."""
+        """Return a mask of the rows that are constant on a random sample of C₀K.
+
+        A row on velocities is kept if J is constant, since J V̇ = 0 is then linear.
+        """
         rows = self.space.at(self._anywhere(self.algebra, 3 * BATCH))
         allowed = CONSTANT * (1.0 + rows.far) + self.rounding + self.left
-        return np.all(np.abs(rows.values) <= allowed, axis=0)
+        jacobians = rows.gradients * rows.lengths[..., None]
+        change = np.abs(jacobians - jacobians[:1]).max(axis=-1, initial=0.0)
+        on_pose = np.array([r.is_holonomic for r in self.space.rows], dtype=bool)
+        return np.all(np.where(on_pose, np.abs(rows.values), change) <= allowed, axis=0)
 
 
 def _reliable(solutions: list[Array], margins: Array) -> list[Array]:

@@ -17,8 +17,8 @@ import numpy as np
 
 from lierb.kernels.groups import se3, so3xr3
 from lierb.kernels.mechanics.constraints import residuals
-from lierb.kernels.mechanics.newton_euler import SE3, BodyConstants
-from lierb.kernels.mechanics.rows import PITCHED, Rows
+from lierb.kernels.mechanics.newton_euler import SE3, BodyConstants, Kinematics
+from lierb.kernels.mechanics.rows import PITCHED, Row, Rows
 from lierb.kernels.mechanics.scale import ROUNDING, bearings, length_of, rounding_of
 from lierb.kernels.mechanics.tree import GROUND, HERE, MASSLESS, Node
 from lierb.kernels.numbers.arithmetic import plain
@@ -38,7 +38,10 @@ GROUPS: dict[str, ModuleType] = {"reduced": se3, "SE3": se3, "SO3xR3": so3xr3}
 
 
 class Place(NamedTuple):
-    """Rows between two nodes.   inner, outer : joint frames in the frames of `body`, `parent`."""
+    """Rows between two nodes.   inner, outer : joint frames in the frames of `body`, `parent`.
+
+    second : second joint of rows that couple two.
+    """
 
     at: Connection
     body: int
@@ -47,12 +50,14 @@ class Place(NamedTuple):
     outer: Pose
     constants: BodyConstants
     rows: Rows
+    second: Place | None = None
 
 
 class RowValues(NamedTuple):
     """Values and gradients of all rows at n configurations, in units of the mechanism's length.
 
-    values : h, (n, rows).   gradients : (n, rows, freedoms), divided by `lengths`.
+    values : h, (n, rows), zero for rows on velocities.
+    gradients : (n, rows, freedoms), divided by `lengths`.
     lengths : (n, rows), of the rows' Jacobians with respect to D.   far : ‖d‖, (n, rows).
     upright : (n, places), False for a joint rotated by half a turn, where the rows vanish as well.
     """
@@ -67,7 +72,7 @@ class RowValues(NamedTuple):
 class Space:
     """C-space of a mechanism, with lengths in units of the mechanism's length.
 
-    length : m.   rows : holonomic rows of all places.
+    length : m.   rows : rows of all places, without those of motors.
     """
 
     def __init__(self, mechanism: Mechanism, cspace: str) -> None:
@@ -138,12 +143,18 @@ class Space:
         if at.joint is not None:
             frames = pose_components(at.joint.body_frame), pose_components(at.joint.ground_frame)
         inner, outer = self._outer(at.body, frames[0]), self._outer(at.parent, frames[1])
-        rows = tuple(r for r in at.rows if r.is_holonomic and not r.depends_on_time)
+        rows = tuple(r for r in at.rows if not r.depends_on_time)
         nodes = self.nodes[at.body], self.nodes[at.parent]
-        return Place(at, *nodes, inner, outer, self.mechanism.constants(at), rows)
+        second = None
+        if at.second >= 0:
+            joint = self.mechanism.joints[at.second]
+            second = self._place(joint._replace(rows=(), elements=at.elements))
+        return Place(at, *nodes, inner, outer, self.mechanism.constants(at), rows, second)
 
     def path(self, place: Place) -> list[int]:
         """Return the nodes that the rows depend on."""
+        if place.second is not None:
+            return sorted({*self.path(place._replace(second=None)), *self.path(place.second)})
         if self.cspace != "reduced":
             return sorted(i for i in (place.body, place.parent) if i != GROUND)
         above = [set(self._above(i)) for i in (place.body, place.parent)]
@@ -253,13 +264,19 @@ class Space:
             x = SE3.kinematics(place.constants, relative, ZERO6)
             for bearing in bearings(place.rows, relative[0]):
                 upright[:, number] &= np.ravel(bearing > 0.0)
-            twists, away = assembled(moving), plain(norm(relative[1]))
-            for r, h in zip(place.rows, residuals(place.rows, x, place.constants), strict=True):
-                row = assembled(r.jacobian(x, place.constants))
-                size = np.sqrt(np.sum((row * self.units) ** 2, axis=-1))
-                size = np.where(size == 0.0, 1.0, size)
-                gradients.append(np.sum(twists * row, axis=-1) / size)
-                values.append(h)
+            away = plain(norm(relative[1]))
+            posed = tuple(r for r in place.rows if r.is_holonomic)
+            of_pose = dict(zip(posed, residuals(posed, x, place.constants), strict=True))
+            for r in place.rows:
+                gradient, size = self._gradient(place, r, x, moving)
+                if place.second is not None and r.second is not None:
+                    other, carried = self._between(place.second, motions)
+                    at_second = SE3.kinematics(place.second.constants, other, ZERO6)
+                    gradient = (
+                        gradient + self._gradient(place.second, r.second, at_second, carried)[0]
+                    )
+                gradients.append(gradient / size)
+                values.append(of_pose.get(r, 0.0))
                 lengths.append(size)
                 far.append(away)
         return RowValues(
@@ -269,6 +286,12 @@ class Space:
             self._columns(n, far) / self.length,
             upright,
         )
+
+    def _gradient(self, place: Place, r: Row, x: Kinematics, moving: Vec) -> tuple[Array, Array]:
+        """J of a row by unit velocities, and its length.   moving : twists by unit velocities."""
+        row = assembled(r.jacobian(x, place.constants))
+        size = np.sqrt(np.sum((row * self.units) ** 2, axis=-1))
+        return np.sum(assembled(moving) * row, axis=-1), np.where(size == 0.0, 1.0, size)
 
     def _columns(self, n: int, of_rows: list[Any], *shape: int) -> Array:
         """Stack the rows' numbers, batched or not, to (n, rows) or (n, shape, rows)."""

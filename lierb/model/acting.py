@@ -67,6 +67,11 @@ def _checked(argument: str, given: Any, kind: type[Element], joint: Joint) -> tu
                 f"{label} is on {' and '.join(element.at)}; a Problem has one body and no names: "
                 "leave .on(…) out, or make a lierb.Mechanism"
             )
+        if element.kind.joints > 1:
+            raise ForceError(
+                f"{label}, {element.name}, couples two joints, and a Problem has one; make a "
+                "lierb.Mechanism"
+            )
         fitting.append(fitted(element, joint))
     return tuple(fitting)
 
@@ -85,31 +90,37 @@ def bind(problem: Any) -> None:
     require_free(problem.observables, columns_of((*problem.states, *problem.controllers)))
 
 
-def fitted(element: Any, joint: Joint) -> Any:
-    """Return the element for a joint. Raises ForceError if it has changed or cannot act there."""
+def fitted(element: Any, *joints: Joint) -> Any:
+    """Return the element for its joints. Raises ForceError if it has changed or does not fit."""
     element.require_unchanged()
-    if not element.kind.needs_axis:
-        return element
-    element = replace(element, kind=element.kind.on_joint(joint.rows))
-    name = f"{element.name} on {element.at[0]!r}" if element.at else element.name
-    acts = f"{name} acts {'along' if element.kind.needs_slide else 'about'} the joint axis"
+    if element.kind.needs_axis:
+        for number, joint in enumerate(joints):
+            element = replace(element, kind=element.kind.on_joint(joint.rows, number))
+            _require_axis(element, number, joint)
+    return element
+
+
+def _require_axis(element: Element, number: int, joint: Joint) -> None:
+    """Raise ForceError if the joint has not the axis at which the element acts."""
+    name = f"{element.name} on {element.at[number]!r}" if element.at else element.name
+    needs_slide = element.kind.slides_at(number)
+    acts = f"{name} acts {'along' if needs_slide else 'about'} the joint axis"
     if not keeps_axis(joint.rows):
         raise ForceError(
             f"{acts}, which a {joint.name} joint does not keep: its body turns about others too; "
             "take a joint such as revolute, or a constant_wrench or lierb.wrench"
         )
-    if element.kind.needs_slide and not slides(joint.rows):
+    if needs_slide and not slides(joint.rows):
         raise ForceError(
             f"{acts}, along which a {joint.name} joint does not slide; take a joint such as "
             "prismatic, or a torque about the axis"
         )
-    if not element.kind.needs_slide and not turns(joint.rows):
+    if not needs_slide and not turns(joint.rows):
         raise ForceError(
             f"{acts}, about which a {joint.name} joint does not turn; take a joint such as "
             "revolute, or what acts along the axis: motor(force=…), slide_spring, slide_friction "
             "or slide_limit"
         )
-    return element
 
 
 def unfit_rate(rows: Rows, rates: Iterable[Any], t0: float) -> TwistError | None:

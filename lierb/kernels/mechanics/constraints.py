@@ -73,11 +73,14 @@ def rate_errors_squared(
     rows: Rows, x: Kinematics, body: HeldBody, velocity: Vec
 ) -> tuple[Number, Number]:
     """Sums of the squares of J V − prescribed rate, over translational and rotational rows."""
-    rates = [
-        (r.is_translational, dot(r.jacobian(x, body), velocity) - r.prescribed_rate(x, body))
-        for r in rows
-    ]
+    rates = [dot(r.jacobian(x, body), velocity) - r.prescribed_rate(x, body) for r in rows]
+    return squares_by_kind(rows, rates)
+
+
+def squares_by_kind(rows: Rows, numbers: list[Number]) -> tuple[Number, Number]:
+    """Sums of the squares of the rows' numbers, over translational and rotational rows."""
+    pairs = [*zip(rows, numbers, strict=True)]
     return (
-        _squares([rate for translational, rate in rates if translational]),
-        _squares([rate for translational, rate in rates if not translational]),
+        _squares([x for r, x in pairs if r.is_translational]),
+        _squares([x for r, x in pairs if not r.is_translational]),
     )

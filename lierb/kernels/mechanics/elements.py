@@ -83,14 +83,16 @@ class Element:
     """Base class of all elements, without any effect.
 
     needs_axis : True if it acts about or along e₃ of the joint, which must then be an axis of
-    the body and of the ground.   needs_slide : True if it acts along e₃.   rows : number of
-    constraints.   does_work : True if it can change E = T + U, U the `energy` of all elements.
-    is_passive : True if it has no effect on the motion by itself.   bounds_steps : True if
-    adaptive steps respect the bounds of `travel`.
+    the body and of the ground.   needs_slide : True if it acts along e₃.   joints : number of
+    joints at whose axes it acts, if it needs one.   rows : number of constraints.
+    does_work : True if it can change E = T + U, U the `energy` of all elements.   is_passive : True
+    if it has no effect on the motion by itself.   bounds_steps : True if adaptive steps respect the
+    bounds of `travel`.
     """
 
     needs_axis: ClassVar[bool] = False
     needs_slide: ClassVar[bool] = False
+    joints: ClassVar[int] = 1
     is_conservative: ClassVar[bool] = False  # but for the parameters in `working`
     is_users: ClassVar[bool] = False  # True for a user's function
     does_work: ClassVar[bool] = True
@@ -120,9 +122,13 @@ class Element:
         """Row of constraint i; `place` is the element's index in the problem."""
         raise NotImplementedError
 
-    def on_joint(self, rows: Rows) -> Element:
-        """Return the element for a joint with these rows."""
+    def on_joint(self, rows: Rows, joint: int = 0) -> Element:
+        """Return the element with a joint of these rows as the one with this number."""
         return self
+
+    def slides_at(self, joint: int) -> bool:
+        """Return whether it acts along e₃ of the joint with this number."""
+        return self.needs_slide
 
     def placed(self, given: dict[str, Any], frames: Frames) -> tuple[Any, ...]:
         return tuple(given.values())

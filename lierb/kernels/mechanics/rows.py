@@ -54,6 +54,7 @@ class Row:
     has_value : True if h can be computed from this row alone.
     is_of_joint : True for a row of the joint, which depends on D alone.
     depends_on_time : True for a row of a motor, whose position or rate is a function of time.
+    second : part of the row at a second joint, for a row that couples two; then J V is a sum.
     parameters : joint parameters of the row, with their units.
     """
 
@@ -62,6 +63,7 @@ class Row:
     has_value: bool = True
     is_of_joint: bool = True
     depends_on_time: bool = False
+    second: Row | None = None
     parameters: ClassVar[dict[str, str]] = {}
 
     @property
@@ -357,39 +359,3 @@ class AddedRow(Row):
     def placed(self, body: HeldBody) -> Any:
         """Parameters of the element in joint axes."""
         return body.elements[self.place]
-
-
-SLIDING = Point(2)
-
-
-class AxisRow(AddedRow):
-    """Row on the coordinate of a joint's axis e₃: its angle φ, or its slide d₃.
-
-    The element's `needs_slide` decides which.
-    """
-
-    @property
-    def is_translational(self) -> bool:  # type: ignore[override]
-        return bool(self.element.needs_slide)
-
-    @property
-    def held_axis(self) -> int | None:
-        return 2 if self.is_translational else None
-
-    @property
-    def fixed_axis(self) -> int | None:
-        return None if self.is_translational else 2
-
-    def jacobian(self, x: Kinematics, body: HeldBody) -> Vec:
-        return SLIDING.jacobian(x, body) if self.is_translational else UNIT[2] + ZERO3
-
-    def bend(self, x: Kinematics, body: HeldBody) -> Number:
-        """Right-hand side η of a constant rate."""
-        return SLIDING.acceleration(x, body) if self.is_translational else ZERO
-
-    def distance(self, x: Kinematics, start: Number) -> Number:
-        """Coordinate relative to `start`; an angle in [−π, π]."""
-        if self.is_translational:
-            return x.d[2] - start
-        turn = atan2(x.q[3], x.q[0]) - start
-        return fma(-2.0 * PI, rint(turn * (0.5 / PI)), turn)

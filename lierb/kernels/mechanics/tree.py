@@ -103,6 +103,7 @@ class Connection:
 
     hangs : True if the frames are those of the joint that connects `node` to its parent `other`.
     joint : index of the joint that has the frames; NONE for the frames of nodes and of the ground.
+    second : index of the joint with the second part of the rows, for rows that couple two joints.
     """
 
     node: int
@@ -110,6 +111,7 @@ class Connection:
     rows: Rows = ()
     hangs: bool = False
     joint: int = NONE
+    second: int = NONE
 
 
 class NodeConstants(NamedTuple):

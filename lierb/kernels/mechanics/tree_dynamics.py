@@ -24,7 +24,7 @@ from lierb.kernels.mechanics.saddle import less, multipliers_of
 from lierb.kernels.mechanics.spatial import Articulated, twist_at, wrench_from
 from lierb.kernels.mechanics.subgroup import inverse
 from lierb.kernels.mechanics.tree import GROUND, MASSLESS, TreeMotion, combined, joint_space_pays
-from lierb.kernels.mechanics.tree_rows import NodeRow, Response, stiffness_of
+from lierb.kernels.mechanics.tree_rows import NodeRow, Response, add_loads, stiffness_of
 from lierb.kernels.numbers.arithmetic import fma, sqrt
 from lierb.kernels.numbers.number import Number
 from lierb.kernels.numbers.vec import ZERO3, ZERO6, Vec, add, axpy, dot, neg, norm, sub
@@ -299,16 +299,11 @@ def solved(
             assert biases is not None
             size = each.stiffness * (each.wanted - dot(each.push, biases[each.node]))
             bias[each.node] = axpy(size, each.push, bias.get(each.node, ZERO6))
-            _add_loads(total, each.loads(size))
+            add_loads(total, each.loads(size))
     response = bodies.respond(total, biases, fall)
     responses = [bodies.respond(each.loads()) for each in rows]
     schur = [[rows[i].of(responses[j]) for j in range(i + 1)] for i in range(len(rows))]
-    excess = []
-    for each in rows:
-        difference = each.of(response) - each.wanted
-        if each.fall is not None:
-            difference = difference - dot(each.pull, ZERO3 + each.fall)
-        excess.append(difference)
+    excess = [each.of(response) - each.wanted - each.of_ground() for each in rows]
     scales = _TreeScales(bodies.motion, loads, fall)
     sizes = [scales.of(each) for each in rows]
     alone = [size / fma(each.stiffness, size, 1.0) for size, each in zip(sizes, rows, strict=True)]
@@ -321,14 +316,9 @@ def solved(
         violation,
     )
     for size, each in zip(multipliers, rows, strict=True):
-        _add_loads(total, each.loads(-size))
+        add_loads(total, each.loads(-size))
     response = bodies.respond(total, biases, fall)
     return Solved(response, multipliers, singular, dropped, bias)
-
-
-def _add_loads(total: dict[int, Vec], more: dict[int, Vec]) -> None:
-    for i, load in more.items():
-        total[i] = add(total[i], load) if i in total else load
 
 
 class _TreeScales:
@@ -351,8 +341,12 @@ class _TreeScales:
 
     def of(self, row: NodeRow) -> Number:
         """Square of the size of a row."""
-        size = self._square(row.node, row.push)
-        return size if row.other == GROUND else size + self._square(row.other, row.pull)
+        total: Number = ZERO
+        for each in row.parts:
+            total = total + self._square(each.node, each.push)
+            if each.other != GROUND:
+                total = total + self._square(each.other, each.pull)
+        return total
 
     def acceleration(self, row: NodeRow) -> Number:
         """Bound on the acceleration of a row by loads and motion."""

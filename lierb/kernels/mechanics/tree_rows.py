@@ -9,7 +9,7 @@ from lierb.kernels.mechanics.spatial import Pose, wrench_from
 from lierb.kernels.mechanics.tree import GROUND, Connection, Relative
 from lierb.kernels.numbers.arithmetic import fma
 from lierb.kernels.numbers.number import Number
-from lierb.kernels.numbers.vec import Vec, dot, scale
+from lierb.kernels.numbers.vec import ZERO3, Vec, add, dot, scale
 from lierb.kernels.numbers.zero import ZERO, is_zero
 
 
@@ -26,6 +26,7 @@ class NodeRow(NamedTuple):
 
     push, pull : the row as wrenches about the nodes' frames.   fall : see `Relative`.
     stiffness : s, for a row of the joint that connects `node` to its parent `other`.
+    also : rest of the row, at a second joint.
     """
 
     node: int
@@ -35,20 +36,48 @@ class NodeRow(NamedTuple):
     fall: Vec | None
     wanted: Number
     stiffness: Number = ZERO
+    also: NodeRow | None = None
+
+    @property
+    def parts(self) -> tuple[NodeRow, ...]:
+        """The row at each of its joints."""
+        return (self,) if self.also is None else (self, self.also)
 
     def loads(self, size: Number = 1.0) -> dict[int, Vec]:
         """Wrenches on the nodes for a multiplier −size."""
-        wrenches = {self.node: scale(size, self.push)}
-        if self.other != GROUND:
-            wrenches[self.other] = scale(-size, self.pull)
+        wrenches: dict[int, Vec] = {}
+        for each in self.parts:
+            add_loads(wrenches, {each.node: scale(size, each.push)})
+            if each.other != GROUND:
+                add_loads(wrenches, {each.other: scale(-size, each.pull)})
         return wrenches
 
     def of(self, response: Response) -> Number:
         """Left-hand side of the row at some accelerations."""
-        total = dot(self.push, response.moved[self.node])
-        if self.other != GROUND:
-            return total - dot(self.pull, response.moved[self.other])
+        total: Number = ZERO
+        for each in self.parts:
+            total = total + dot(each.push, response.moved[each.node])
+            if each.other != GROUND:
+                total = total - dot(each.pull, response.moved[each.other])
         return total
+
+    def of_ground(self) -> Number:
+        """Part of the left-hand side due to the acceleration of the ground."""
+        total: Number = ZERO
+        for each in self.parts:
+            if each.fall is not None:
+                total = total + dot(each.pull, ZERO3 + each.fall)
+        return total
+
+    def on_still_ground(self) -> NodeRow:
+        also = self.also and self.also.on_still_ground()
+        return self._replace(fall=None, also=also)
+
+
+def add_loads(total: dict[int, Vec], more: dict[int, Vec]) -> None:
+    """Add wrenches on nodes to others."""
+    for i, load in more.items():
+        total[i] = add(total[i], load) if i in total else load
 
 
 def node_row(

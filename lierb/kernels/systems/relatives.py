@@ -34,10 +34,43 @@ class Relatives:
             self._known[number] = self.motion.between(*pair)
         return self._known[number]
 
-    def equation(self, number: int, row: Row | Vec, wanted: Any) -> NodeRow:
-        """Equation of a connection's row, or of a Jacobian (6,), in the nodes' accelerations."""
+    def parts(self, number: int, row: Row) -> list[tuple[int, Row]]:
+        """Part of a connection's row at each connection that it depends on."""
+        own = [(number, row)]
+        return own if row.second is None else [*own, (self.connections[number].second, row.second)]
+
+    def rate(self, number: int, row: Row) -> Any:
+        """J V of a connection's row."""
+        total: Any = ZERO
+        for at, part in self.parts(number, row):
+            x = self[at].x
+            total = total + dot(part.jacobian(x, self.ends[at]), x.omega + x.point_rate)
+        return total
+
+    def rate_error(self, number: int, row: Row) -> Any:
+        """J V of a connection's row less its prescribed rate."""
+        return self.rate(number, row) - row.prescribed_rate(self[number].x, self.ends[number])
+
+    def bias(self, number: int, row: Row) -> Any:
+        """Right-hand side of a row on A_a − Ad A_b, the accelerations of a connection's nodes."""
+        total: Any = ZERO
+        for at, part in self.parts(number, row):
+            relative, ends = self[at], self.ends[at]
+            jacobian = part.jacobian(relative.x, ends)
+            total = total + (part.acceleration(relative.x, ends) + dot(jacobian, relative.bias))
+        return total
+
+    def equation(self, number: int, row: Row, wanted: Any) -> NodeRow:
+        """Equation of a connection's row in the nodes' accelerations."""
+        (first, *rest) = (
+            self.wrench(at, part.jacobian(self[at].x, self.ends[at]), wanted)
+            for at, part in self.parts(number, row)
+        )
+        return first._replace(also=rest[0]) if rest else first
+
+    def wrench(self, number: int, jacobian: Vec, wanted: Any = ZERO) -> NodeRow:
+        """Equation with a Jacobian (6,), or a wrench between a connection's frames."""
         relative, ends, connection = self[number], self.ends[number], self.connections[number]
-        jacobian = row if isinstance(row, tuple) else row.jacobian(relative.x, ends)
         return node_row(connection, relative, jacobian, ends.inner, wanted)
 
     def residuals(self, number: int, rows: Rows) -> dict[Row, Any]:

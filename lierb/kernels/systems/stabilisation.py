@@ -11,7 +11,7 @@ from typing import Any
 from lierb.kernels.mechanics.tree import TreeConstants, TreeMotion
 from lierb.kernels.mechanics.tree_dynamics import bodies_of, solved
 from lierb.kernels.numbers.arithmetic import any_lanes, branch, fma, maximum, where
-from lierb.kernels.numbers.vec import Vec, add, cross_add, dot, mat_vec, neg, scale
+from lierb.kernels.numbers.vec import Vec, add, cross_add, mat_vec, neg, scale
 from lierb.kernels.systems.relatives import Relatives, constrained_part, length_of, size_of
 from lierb.kernels.systems.state import Stabilised, State
 from lierb.kernels.systems.tree_acceleration import TreeAccelerations
@@ -85,11 +85,7 @@ class Projection(TreeAccelerations):
         """Least change of the velocity such that it satisfies all rows."""
         motion = self.motion_at(body, chart, velocity, time)
         relatives = self.relatives(body, motion)
-        wanted = []
-        for number, r in self.rows:
-            x, ends = relatives[number].x, body.ends[number]
-            rate = dot(r.jacobian(x, ends), x.omega + x.point_rate)
-            wanted.append(r.prescribed_rate(x, ends) - rate)
+        wanted = [-relatives.rate_error(number, r) for number, r in self.rows]
         biases = [
             neg(constrained_part(motion, i, relative)) for i, relative in enumerate(motion.relative)
         ]
@@ -99,7 +95,7 @@ class Projection(TreeAccelerations):
         self, motion: TreeMotion, relatives: Relatives, wanted: list[Any], biases: list[Vec]
     ) -> Vec:
         """Smallest motion, in the kinetic metric, with the components `wanted` along the rows."""
-        rows = [each._replace(fall=None) for each in self.equations(relatives, wanted)]
+        rows = [each.on_still_ground() for each in self.equations(relatives, wanted)]
         violation = partial(self.violation_of, motion)
         solution = solved(bodies_of(motion, rows), rows, {}, biases, violation=violation)
         moved: list[Any] = []

@@ -84,15 +84,15 @@ class JointForces:
         if not self.has_force:
             return float(least), float(most)
         ends = self._on_axis(least), self._on_axis(most)
-        return ends if self._direction > 0.0 else ends[::-1]
+        return ends if self.direction > 0.0 else ends[::-1]
 
     @property
-    def _direction(self) -> float:
+    def direction(self) -> float:
         """−1 if the axis of the file is opposite to that of the catalogue's joint, else 1."""
         return float(np.sign(self.model.jnt_axis[self.j] @ self.joint.body_frame[:3, 2]))
 
     def _on_axis(self, q: float) -> float:
-        return self._direction * float(q - self.model.qpos0[self.model.jnt_qposadr[self.j]])
+        return self.direction * float(q - self.model.qpos0[self.model.jnt_qposadr[self.j]])
 
     @property
     def _stops(self) -> tuple[float, float] | None:

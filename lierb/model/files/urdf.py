@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
 Element = ElementTree.Element
 TYPES = ("revolute", "continuous", "prismatic", "fixed", "floating", "planar", "spherical")
+SCALAR = ("revolute", "continuous", "prismatic")  # joints with one coordinate
 SHORT = 1e-10  # least length of an axis, as in MuJoCo
 MOMENTS = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")  # in the order of MuJoCo's fullinertia
 READ = {  # elements that are read, or that do not affect the motion
@@ -70,6 +71,8 @@ def read(path: str | PathLike[str]) -> Robot:
             bodies[link] = robot.spec.worldbody.add_body(name=link)
         for name, value in inertial.items():
             setattr(bodies[link], name, value)
+    for name in joints:
+        _add_mimic(robot, name, joints)
     if settings is not None and settings.find("option[@gravity]") is not None:
         robot.left_out.append("gravity, which is an argument")
     robot.left_out += _lacking(root, links, joints)
@@ -167,10 +170,29 @@ def _add_body(robot: Robot, parent: MjsBody, link: str, joint: str, element: Ele
         added.damping = (damping, 0.0, 0.0) if np.ndim(added.damping) else damping
         added.frictionloss = friction
     _read_limit(robot, joint, kind, _only(element, "limit", label))
-    mimic = _only(element, "mimic", label)
-    if mimic is not None:
-        robot.left_out.append(f"{label}: mimic of {mimic.get('joint')}")
     return body
+
+
+def _add_mimic(robot: Robot, name: str, joints: dict[str, Element]) -> None:
+    """Add the equality of a joint's <mimic>: its coordinate is multiplier · other + offset."""
+    import mujoco
+
+    label = f"joint {name}"
+    mimic = _only(joints[name], "mimic", label)
+    if mimic is None:
+        return
+    other = mimic.get("joint")
+    multiplier = _number(mimic, "multiplier", label, 1.0)
+    offset = _number(mimic, "offset", label, 0.0)
+    kinds = {each: joint.get("type") for each, joint in joints.items()}
+    if other == name or not {kinds[name], kinds.get(other or "")} <= {*SCALAR}:
+        robot.left_out.append(f"{label}: mimic of {other}")
+        return
+    equality = robot.spec.add_equality(
+        name=f"{label}: mimic of {other}", type=mujoco.mjtEq.mjEQ_JOINT,
+        objtype=mujoco.mjtObj.mjOBJ_JOINT, name1=name, name2=other,
+    )  # fmt: skip
+    equality.data[:5] = offset, multiplier, 0.0, 0.0, 0.0
 
 
 def _motions(kind: str, axis: Array) -> list[tuple[str, str, Array]]:

@@ -12,9 +12,10 @@ from lierb.errors import ArgumentError, ForceError, brief, require_name
 from lierb.kernels.functions.function import Function
 from lierb.kernels.functions.shapes import Shape, UserFunction
 from lierb.kernels.functions.user_number import UserNumber
+from lierb.kernels.mechanics.axis_rows import AxisRow
 from lierb.kernels.mechanics.elements import Wrench, second
 from lierb.kernels.mechanics.newton_euler import Kinematics, Motion
-from lierb.kernels.mechanics.rows import AddedRow, AxisRow, HeldBody, Rows, slides, turns
+from lierb.kernels.mechanics.rows import AddedRow, HeldBody, Rows, slides, turns
 from lierb.kernels.numbers.arithmetic import plain
 from lierb.kernels.numbers.vec import ZERO3
 from lierb.kernels.numbers.zero import ZERO
@@ -74,7 +75,7 @@ class Prescribed(Motor):
     def options(self) -> dict[str, Any]:
         return {"coordinate": self.coordinate}
 
-    def on_joint(self, rows: Rows) -> Prescribed:
+    def on_joint(self, rows: Rows, joint: int = 0) -> Prescribed:
         return replace(self, coordinate=self.coordinate or own_coordinate(rows))
 
     def unit_of(self, name: str) -> str:

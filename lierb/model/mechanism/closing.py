@@ -1,7 +1,7 @@
 """Closed poses, projected twists and freedoms of a mechanism.
 
 All rows together are J V = ḣ, V the twists of all links. The nearest V is that of least kinetic
-energy (`lierb.model.mechanism.row_system.DecomposedRows`), even for redundant rows, which every
+energy (`lierb.model.mechanism.decomposition.DecomposedRows`), even for redundant rows, which every
 planar loop of revolute joints has. Each member of a batch is decomposed separately: its bits do not
 depend on the other members.
 """
@@ -23,6 +23,7 @@ from lierb.kernels.mechanics.scale import START_TOLERANCE
 from lierb.kernels.numbers.arithmetic import absolute, plain, where
 from lierb.kernels.numbers.vec import Vec, add
 from lierb.model.acting import unfit_place, unfit_rate
+from lierb.model.mechanism.decomposition import summed
 from lierb.model.mechanism.row_system import (
     CLOSED,
     NEWTON_STEPS,
@@ -32,8 +33,6 @@ from lierb.model.mechanism.row_system import (
     name_of,
     one_of,
     reversed_joint,
-    summed,
-    velocity_of,
     wrong_way,
 )
 from lierb.support.arrays import Array, assembled, pose_components, pose_matrix
@@ -129,10 +128,13 @@ def _closed(part: Part, t0: float) -> tuple[list[Array], bool]:
     poses = [pose_components(pose) for pose in part.arrays]
     was_closed = np.zeros(system.count, dtype=bool)
     for step in range(NEWTON_STEPS + 1):
-        states = _with_rows(system.states(poses, None, np.float64(t0)), lambda r: r.is_holonomic)
-        if step == 0 and (error := unfit_positions(states, t0)):
-            raise error
-        off = [residuals(s.at.rows, s.x, s.body) for s in states]
+        states = system.states(poses, None, np.float64(t0))
+        states = _with_rows(states, lambda r: r.is_holonomic or r.second is not None)
+        if step == 0:
+            first = states
+            if error := unfit_positions(states, t0):
+                raise error
+        off = [_residuals(s, before) for s, before in zip(states, first, strict=True)]
         is_closed = np.ones(system.count, dtype=bool)
         for s, values in zip(states, off, strict=True):
             for excess in _excesses(s, values):
@@ -161,6 +163,17 @@ def _closed(part: Part, t0: float) -> tuple[list[Array], bool]:
         for before, after in zip(part.arrays, poses, strict=True)
     ]
     return arrays, bool(not was_closed.all())
+
+
+def _residuals(s: ConnectionState, before: ConnectionState) -> list[Any]:
+    """Values of a connection's rows; of a gear, relative to the mesh in the first pose."""
+    if s.second is None:
+        return residuals(s.at.rows, s.x, s.body)
+    pairs = (zip(s.parts(r), before.parts(r), strict=True) for r in s.at.rows)
+    return [
+        sum(part.moved(now.x, then.x, now.body) for (now, part), (then, _) in pair)
+        for pair in pairs
+    ]
 
 
 def _with_rows(
@@ -276,15 +289,8 @@ def _contradiction(label: str, connection: str) -> TwistError:
 
 def _rates(system: System, poses: list[Pose], twists: list[Vec], t0: float) -> Array:
     """Rates J V of the rows, (count, rows)."""
-    rates = []
-    for s in system.states(poses, twists, np.float64(t0)):
-        velocity = velocity_of(s.x)
-        for r in s.at.rows:
-            total: Any = 0.0
-            for a, b in zip(r.jacobian(s.x, s.body), velocity, strict=True):
-                total = total + a * b
-            rates.append(total)
-    return system.column(rates)
+    states = system.states(poses, twists, np.float64(t0))
+    return system.column([s.rate(r) for s in states for r in s.at.rows])
 
 
 def mobility(mechanism: TreeKinematics, poses: list[Array]) -> Mobility:
@@ -293,7 +299,7 @@ def mobility(mechanism: TreeKinematics, poses: list[Array]) -> Mobility:
     for part in parts:
         system = System(part.mechanism, len(part.arrays[0]))
         states = system.states([pose_components(x) for x in part.arrays])
-        states = _with_rows(states, lambda r: r.is_holonomic and not r.depends_on_time)
+        states = _with_rows(states, lambda r: not r.depends_on_time)
         rows = system.decomposed(states)
         counts.append([rows.freedoms, rows.lengths.shape[1] - rows.ranks])
     numbers = _joined(counts, parts[0].is_batch)

@@ -87,10 +87,10 @@ class Mechanism(TreeKinematics):
 
         Bodies keep their names and frames. Hinge, slide, ball and free joints become joints of the
         catalogue; several on one body become the joint that combines them, such as universal.
-        `equality/connect` and `weld` become loops. Springs and dampers of joints that keep their
-        axis become forces. `pose()` is the pose at qpos0. A LeftOutWarning lists the elements that
-        are left out: contacts, friction, actuators, tendons and others. Requires mujoco (the extra
-        `lierb[mjcf]`).
+        `equality/connect` and `weld` become loops, `equality/joint` gears. Springs and dampers of
+        joints that keep their axis become forces. `pose()` is the pose at qpos0. A LeftOutWarning
+        lists the elements that are left out: contacts, friction, actuators, tendons and others.
+        Requires mujoco (the extra `lierb[mjcf]`).
 
         Parameters
         ----------
@@ -129,7 +129,7 @@ class Mechanism(TreeKinematics):
         """Read the mechanism of a URDF file; its root link is the ground.
 
         Revolute and continuous, prismatic, fixed, planar and floating joints are read by MuJoCo's
-        compiler, as in `from_mjcf`.
+        compiler, as in `from_mjcf`. Mimics become gears.
 
         Parameters
         ----------

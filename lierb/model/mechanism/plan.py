@@ -109,8 +109,9 @@ def mechanism_plan_of(
     for k, (element, c) in enumerate(zip(mechanism.elements, mechanism.places, strict=True)):
         number = numbers[element.at[0]] if element.kind.needs_axis else NONE
         hangs = number != NONE and joints[number].hangs
+        second = NONE if c.second == NOWHERE else c.second
         rows = tuple(element.kind.row(k, i) for i in range(element.kind.rows))
-        acting.append(Connection(nodes[c.body], nodes[c.parent], rows, hangs, number))
+        acting.append(Connection(nodes[c.body], nodes[c.parent], rows, hangs, number, second))
     plan = MechanismPlan(
         lanes=DEFAULT_LANES,
         tree=tuple(tree),

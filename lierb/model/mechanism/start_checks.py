@@ -16,12 +16,12 @@ from lierb.errors import (
     body_label,
 )
 from lierb.kernels.groups import so3
-from lierb.kernels.mechanics.constraints import rate_errors_squared
+from lierb.kernels.mechanics.constraints import squares_by_kind
 from lierb.kernels.mechanics.newton_euler import SE3
 from lierb.kernels.mechanics.rows import Rows
 from lierb.kernels.mechanics.scale import ROUNDING, START_TOLERANCE, length_of, rounding_of
 from lierb.kernels.numbers.arithmetic import absolute, plain, sqrt
-from lierb.kernels.numbers.vec import Vec, cross_add, dot, norm, sub
+from lierb.kernels.numbers.vec import Vec, cross_add, norm, sub
 from lierb.model.acting import unfit_rate
 from lierb.model.base import Model
 from lierb.model.mechanism.closing import closed, mobility, unfit_positions
@@ -32,7 +32,6 @@ from lierb.model.mechanism.row_system import (
     errors_of,
     name_of,
     one_of,
-    velocity_of,
     wrong_way,
 )
 from lierb.support.arrays import Array, as_poses, components, items_at, pose_components
@@ -189,8 +188,8 @@ def _twist_violation(start: Start, name: str, h: ConnectionState) -> TwistError 
     rates = [r.prescribed_rate(h.x, h.body) for r in h.at.rows]
     if unfit := unfit_rate(h.at.rows, rates, start.time):
         return unfit
-    velocity = velocity_of(h.x)
-    sizes = map(sqrt, map(plain, rate_errors_squared(h.at.rows, h.x, h.body, velocity)))
+    off = [h.rate(r) - rate for r, rate in zip(h.at.rows, rates, strict=True)]
+    sizes = map(sqrt, map(plain, squares_by_kind(h.at.rows, off)))
     for what, unit, size, allowed in zip(
         ("velocity", "rotation rate"), ("m/s", "rad/s"), sizes, _rate_tolerances(h, start.speed),
         strict=True,
@@ -201,8 +200,8 @@ def _twist_violation(start: Start, name: str, h: ConnectionState) -> TwistError 
             if not max(error, most) < np.inf:
                 return TwistError(beyond_numbers(label, what))
             residuals = ", ".join(
-                f"{r}: {one_of(dot(r.jacobian(h.x, h.body), velocity) - rate, member):.3g}"
-                for r, rate in zip(h.at.rows, rates, strict=True)
+                f"{r}: {one_of(error, member):.3g}"
+                for r, error in zip(h.at.rows, off, strict=True)
                 if r.is_translational == (what == "velocity")
             )
             return TwistError(
@@ -254,7 +253,8 @@ def _effect_of_closing(
 
 def immobile(mechanism: TreeKinematics, pose: Any) -> ArgumentError | None:
     """Return an error if loops and constraints leave no degree of freedom, or None."""
-    if not any(at.rows and at.joint is None for at in mechanism.places) and not mechanism.loops:
+    added = (r for at in mechanism.places for r in at.rows)
+    if all(r.depends_on_time for r in added) and not mechanism.loops:
         return None
     poses = [as_poses("pose0", pose[name]) for name in mechanism.names]
     free, redundant = map(np.atleast_1d, mobility(mechanism, poses))

@@ -202,12 +202,16 @@ class Tree(Model):
     def places(self) -> tuple[Connection, ...]:
         """Connection at which each element acts, with the rows that the element adds."""
         joints = {c.name: c for c in self.joints}
+        numbers = {c.name: i for i, c in enumerate(self.joints)}
         places = []
         for i, element in enumerate(self.elements):
             rows = tuple(element.kind.row(0, j) for j in range(element.kind.rows))
             if element.kind.needs_axis:
-                at = joints[element.at[0]]
-                places.append(at._replace(name=element.name, rows=rows, elements=(i,)))
+                at, second = joints[element.at[0]], NOWHERE
+                if element.kind.joints == 2:
+                    second = numbers[element.at[1]]
+                added = at._replace(name=element.name, rows=rows, elements=(i,), second=second)
+                places.append(added)
             else:
                 body, parent = (*element.at, GROUND)[:2]
                 ends = self.numbers[body], self.numbers[parent]
@@ -250,15 +254,21 @@ class Tree(Model):
 
     def _on_joint(self, label: str, element: Element) -> Any:
         owners = {x.name: x.joint for x in self.links_and_loops}
-        if len(element.at) > 1:
+        if len(element.at) > element.kind.joints:
             raise ArgumentError(
                 f"{label}, {element.name}, is on {' and '.join(element.at)}, but acts about the "
                 f"axis of one joint; place it by .on({element.at[0]!r}) on the joint of that link"
             )
-        (name,) = element.at
-        if name not in owners:
-            raise unknown_name(f"{label}, {element.name}: on", name, owners)
-        return fitted(element, owners[name])
+        for name in element.at:
+            if name not in owners:
+                raise unknown_name(f"{label}, {element.name}: on", name, owners)
+        if len(element.at) < element.kind.joints:
+            others = [name for name in owners if name not in element.at] or ["another"]
+            raise ArgumentError(
+                f"{label}, {element.name}, is on {element.at[0]} alone, but couples two joints; "
+                f"place it by .on({element.at[0]!r}, {others[0]!r}) or the like"
+            )
+        return fitted(element, *(owners[name] for name in element.at))
 
     # ---- interface of a model --------------------------------------------------------------------
 
