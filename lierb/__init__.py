@@ -21,6 +21,7 @@ from lierb.model.functions.controllers import controller
 from lierb.model.functions.events import event
 from lierb.model.functions.observables import observable
 from lierb.model.functions.states import states
+from lierb.model.functions.turns import turns
 from lierb.model.functions.wrenches import wrench
 from lierb.model.mechanism.links import Link, Loop
 from lierb.model.mechanism.mechanism import Mechanism
@@ -42,8 +43,8 @@ __all__ = [
     "TABLEAUS", "Body", "ButcherTableau", "Link", "Loop", "Mechanism", "Problem", "Result",
     "animate", "animation", "baumgarte", "bodies", "clip", "constraint", "controller",
     "convergence", "errors", "event", "forces", "info", "integrate", "joints", "lie", "log",
-    "noise", "observable", "predict", "quaternion", "sampling", "states", "table", "warmup",
-    "where", "wrench",
+    "noise", "observable", "predict", "quaternion", "sampling", "states", "table", "turns",
+    "warmup", "where", "wrench",
 ]  # fmt: skip
 
 # Public names of modules: `from lierb.joints import revolute`.

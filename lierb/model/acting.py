@@ -17,6 +17,8 @@ from lierb.errors import (
     brief,
     items_of,
 )
+from lierb.kernels.functions.function import size_of
+from lierb.kernels.mechanics.elements import TurnCounter
 from lierb.kernels.mechanics.rows import Rows, keeps_axis, slides, turns
 from lierb.kernels.numbers.arithmetic import plain
 from lierb.model.functions.binding import bound, columns_of, require_different_events
@@ -86,8 +88,28 @@ def bind(problem: Any) -> None:
     parts = bound(*(getattr(problem, label) for label in labels))
     for label, elements in zip(labels, parts, strict=True):
         object.__setattr__(problem, label, elements)
+    forces = tuple(_with_counter(force, problem.states) for force in problem.forces)
+    object.__setattr__(problem, "forces", forces)
     require_different_events(problem.events)
     require_free(problem.observables, columns_of((*problem.states, *problem.controllers)))
+
+
+def _with_counter(force: Force, states: tuple[ExtraStates, ...]) -> Force:
+    """Return a force that counts turns with the index of its joint's counted angle."""
+    turns = getattr(force.kind, "turns", "")
+    if not turns:
+        return force
+    first = 0
+    for each in states:
+        is_counter = isinstance(each.kind, TurnCounter) and each.name == turns
+        if is_counter and each.at == force.at:
+            return force.of_kind(counter=first)
+        first += size_of(each.columns)
+    where, place = (f" on {force.at[0]!r}", f".on({force.at[0]!r})") if force.at else ("", "")
+    raise ForceError(
+        f"{force.name}{where} counts turns by the state {turns}, which does not count those of its "
+        f"joint; give states=lierb.turns({turns!r}){place}"
+    )
 
 
 def fitted(element: Any, *joints: Joint) -> Any:

@@ -145,7 +145,9 @@ class _OwnForces:
     @classmethod
     def of(cls, problem: Model) -> _OwnForces:
         forces = [f for f in problem.forces if _is_known(f.kind) or f.kind.rows]
-        given: dict[str, Any] = {"forces": forces, "constraints": problem.constraints}
+        given: dict[str, Any] = {
+            "forces": forces, "constraints": problem.constraints, "states": problem.counters,
+        }  # fmt: skip
         if isinstance(problem, Mechanism):
             return cls(Mechanism(problem.links, problem.loops, **given), False, False)
         assert isinstance(problem, Problem)

@@ -139,7 +139,7 @@ def own_start(plan: AnyPlan, body: Any, inputs: Any, rows: Any) -> State:
     """Return the initial state, with initial values of the extra states."""
     placed = load_placed(plan, body, inputs)
     state, zero = initial_state(plan, body, placed, inputs), 0.0 * row_of(plan, rows, NOISE_INDEX)
-    own = system_of(plan).initial_states(body) if states_of(plan) else ()
+    own = system_of(plan).initial_states(body, state) if states_of(plan) else ()
     return state._replace(states=tuple(zero + x for x in own))
 
 

@@ -34,8 +34,9 @@ from lierb.kernels.mechanics.newton_euler import (
 )
 from lierb.kernels.mechanics.rows import AddedRow, HeldBody, Rows
 from lierb.kernels.mechanics.scale import ROUNDING
-from lierb.kernels.numbers.arithmetic import PI, absolute, flatten, fma, plain, where
+from lierb.kernels.numbers.arithmetic import PI, absolute, flatten, fma, plain, rint, where
 from lierb.kernels.numbers.number import Number
+from lierb.kernels.numbers.trigonometry import atan2
 from lierb.kernels.numbers.vec import (
     ZERO3,
     ZERO6,
@@ -434,17 +435,66 @@ class _Starting(Passive):
         return values
 
 
-@dataclass(frozen=True)
-class UserStates(_Starting):
-    """User's extra states, integrated from their derivatives."""
+class AddedStates(_Starting):
+    """Extra states, integrated from their derivatives.
 
-    bounds_steps: ClassVar = True
-    function: Function
+    depends_on_pose : True if the initial values depend on the pose at the start.
+    """
+
+    depends_on_pose: ClassVar = False
     states: Shapes
 
     @property
     def own(self) -> Shapes:
         return self.states
+
+    def at_start(self, placed: Any, x: Motion | None) -> Vec:
+        """Initial values.   x : motion at the start, if they depend on the pose."""
+        return self.initial(placed)
+
+    def rates(self, placed: Any, x: Motion) -> Vec:
+        """Derivatives of all states, flattened."""
+        raise NotImplementedError
+
+
+@dataclass(frozen=True)
+class TurnCounter(AddedStates):
+    """Angle of a joint's axis without end: the integral of its rate."""
+
+    depends_on_pose: ClassVar = True
+    needs_axis: ClassVar = True
+    states: Shapes
+
+    @property
+    def shapes(self) -> dict[str, Shape]:
+        return {"start": ()}
+
+    def placed(self, given: dict[str, Any], frames: Frames) -> tuple[Any, ...]:
+        return UserFrame.of(frames), (), (given["start"],)
+
+    def at_start(self, placed: Any, x: Motion | None) -> Vec:
+        """Angle of the pose, with the whole turns of the initial value."""
+        assert x is not None
+        (start,) = self.initial(placed)
+        return (counted_turn(x.q, start),)
+
+    def rates(self, placed: Any, x: Motion) -> Vec:
+        return (x.omega[2],)
+
+
+def counted_turn(q: Mat, near: Any) -> Any:
+    """Angle about e₃, with the whole turns that bring it nearest to another angle, rad."""
+    turn = atan2(q[3], q[0])
+    return fma(2.0 * PI, rint((near - turn) * (0.5 / PI)), turn)
+
+
+@dataclass(frozen=True)
+class UserStates(AddedStates):
+    """User's extra states."""
+
+    bounds_steps: ClassVar = True
+    function: Function
+    states: Shapes
 
     def rates(self, placed: Any, x: Motion) -> Vec:
         """Derivatives of all states, flattened."""

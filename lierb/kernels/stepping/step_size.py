@@ -93,6 +93,8 @@ def longest_step(plan: AnyPlan, body: Any, state: State, moved: State, time: Any
     if not (events_of(plan) or any(element.bounds_steps for element in plan.elements)):
         return None
     system = system_of(plan)
+    if state.states:
+        body = body._replace(signals=body.signals._replace(states=state.states))
     start, end = (system.motion(body, each, time) for each in (state, moved))
     least = maximum(LEAST_OF_STEP * h, 4.0 * LEAST_ULPS * EPS * absolute(time))
     longest: Any = INF

@@ -128,8 +128,9 @@ def measured(
     x = plan.space.kinematics(body, pose, velocity)._replace(time=time)
     potential = plan.space.potential_energy(body, pose)
     if plan.elements:
-        timeless = x._replace(time=ZERO)  # no potential depends on time
-        potential = potential + potential_energy(plan.elements, body, timeless.motion)
+        timeless = x._replace(time=ZERO).motion  # no potential depends on time
+        timeless = timeless._replace(signals=body.signals)
+        potential = potential + potential_energy(plan.elements, body, timeless)
     energy = kinetic_energy + potential
     rates = rate_errors_squared(plan.rows, x, body, velocity)
     sample = Sample(plan, body, pose, x, rates, energy, first_energy, work)

@@ -14,25 +14,26 @@ from lierb.kernels.functions.function import size_of
 from lierb.kernels.functions.shapes import Shapes
 from lierb.kernels.functions.signals import Noise
 from lierb.kernels.mechanics.elements import (
+    AddedStates,
     Bound,
     UserController,
     UserEvent,
     UserObservable,
-    UserStates,
 )
 from lierb.kernels.mechanics.newton_euler import Motion
 from lierb.kernels.numbers.arithmetic import sqrt
 from lierb.kernels.numbers.vec import Vec
+from lierb.kernels.numbers.zero import ZERO
 from lierb.kernels.systems.layout import LANE_END, Columns, Field
 from lierb.kernels.systems.plan import AnyPlan
 
-Kind = TypeVar("Kind", UserObservable, UserEvent, UserStates, UserController)
+Kind = TypeVar("Kind", UserObservable, UserEvent, AddedStates, UserController)
 
 
 @lru_cache(64)
 def states_of(plan: AnyPlan) -> Shapes:
     """All extra states, by name."""
-    return tuple(pair for e in plan.elements if isinstance(e, UserStates) for pair in e.states)
+    return tuple(pair for e in plan.elements if isinstance(e, AddedStates) for pair in e.states)
 
 
 @lru_cache(64)
@@ -150,15 +151,19 @@ class PassiveElements:
 
     def state_rates(self, body: Any, motion: Any, time: Any) -> Vec:
         """Derivatives of all extra states."""
-        elements = self._all(UserStates, body)
+        elements = self._all(AddedStates, body)
         if not elements:
             return ()
         x = self.motions(body, motion, time)
         return tuple(rate for i, e, own in elements for rate in e.rates(own, x(i)))
 
-    def initial_states(self, body: Any) -> Vec:
-        """Initial values of all extra states."""
-        return tuple(y for _, e, own in self._all(UserStates, body) for y in e.initial(own))
+    def initial_states(self, body: Any, state: Any) -> Vec:
+        """Initial values of all extra states.   state : the state at the start without them."""
+        elements = self._all(AddedStates, body)
+        motion_of: Callable[[int], Motion | None] = lambda _: None
+        if any(e.depends_on_pose for _, e, _ in elements):
+            motion_of = self.motions(body, self.motion(body, state, ZERO), ZERO)
+        return tuple(y for i, e, own in elements for y in e.at_start(own, motion_of(i)))
 
     def initial_memory(self, body: Any) -> Vec:
         """Initial memory of all controllers."""

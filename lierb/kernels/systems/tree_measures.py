@@ -92,8 +92,8 @@ class TreeMeasures(TreeAccelerations):
         pairs = zip(self.plan.elements, body.elements, strict=True)
         for number, (element, placed) in enumerate(pairs, first):
             if not (element.is_passive or element.rows):
-                timeless = relatives[number].x._replace(time=ZERO)  # no potential depends on time
-                total = total + element.energy(placed, timeless.motion)
+                x = relatives[number].x._replace(time=ZERO).motion  # no potential depends on time
+                total = total + element.energy(placed, x._replace(signals=body.signals))
         return total
 
     def motions(

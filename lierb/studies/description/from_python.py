@@ -10,7 +10,7 @@ from typing import Any
 
 from lierb.errors import ArgumentError, StudyError, brief, unknown_name
 from lierb.kernels.functions.function import Function
-from lierb.kernels.mechanics.elements import INITIAL
+from lierb.kernels.mechanics.elements import INITIAL, TurnCounter
 from lierb.kernels.mechanics.rows import parameters_of
 from lierb.kernels.systems.plan import Stabilisation
 from lierb.model import forces
@@ -267,6 +267,8 @@ def _element(element: Element, code: dict[str, str]) -> dict[str, Any]:
         for name, array in element.parameters.items()
     }
     placed = {"on": list(element.at)} if element.at else {}
+    if isinstance(element.kind, TurnCounter):
+        return {"type": "turns", "name": element.name, **parameters, **placed}
     if element.made_by is None:
         if any(isinstance(f, Function) for f in element.kind.functions):
             raise StudyError(

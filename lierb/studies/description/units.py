@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from lierb.kernels.mechanics.elements import TurnCounter
 from lierb.model import forces
 from lierb.model.joints.joint import Joint
 from lierb.model.mechanism.mechanism import Mechanism
@@ -34,6 +35,8 @@ def unit_of(quantity: str, study: Study, problem: Problem | Mechanism) -> str:
     if table == "states":
         labels = [each.label for each in study.problem.states]
         states = problem.states[labels.index(label)]
+        if isinstance(states.kind, TurnCounter):
+            return states.units[states.name] if key == "start" else ""
         return states.units.get(key, "1") if key in dict(states.columns) else ""
     if table in ELEMENTS:
         labels = [each.label for each in getattr(study.problem, table)]
