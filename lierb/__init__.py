@@ -16,7 +16,7 @@ from lierb.model import bodies, forces, joints
 from lierb.model.bodies.body import Body
 from lierb.model.formulation import baumgarte
 from lierb.model.functions import noise
-from lierb.model.functions.constraints import constraint
+from lierb.model.functions.constraints import constraint, velocity_constraint
 from lierb.model.functions.controllers import controller
 from lierb.model.functions.events import event
 from lierb.model.functions.observables import observable
@@ -44,7 +44,7 @@ __all__ = [
     "animate", "animation", "baumgarte", "bodies", "clip", "constraint", "controller",
     "convergence", "errors", "event", "forces", "info", "integrate", "joints", "lie", "log",
     "noise", "observable", "predict", "quaternion", "sampling", "states", "table", "turns",
-    "warmup", "where", "wrench",
+    "velocity_constraint", "warmup", "where", "wrench",
 ]  # fmt: skip
 
 # Public names of modules: `from lierb.joints import revolute`.

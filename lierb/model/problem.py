@@ -76,7 +76,8 @@ class Problem(Model):
     forces : Force or iterable of Force, optional
         Forces made by `lierb.forces` and `lierb.wrench`.
     constraints : Constraint or iterable of Constraint, optional
-        Constraints made by `lierb.constraint`, in addition to the joint.
+        Constraints made by `lierb.constraint` and `lierb.velocity_constraint`, in addition to the
+        joint.
     observables : Observable or iterable of Observable, optional
         Columns of the results, made by `lierb.observable`.
     events : Event or iterable of Event, optional
@@ -296,7 +297,8 @@ class Problem(Model):
             return self._closed(poses, start)
 
     def _closed(self, poses: Array, t0: float) -> Array:
-        rows, parameters = self.rows, self.parameters()
+        rows = tuple(r for r in self.rows if r.is_holonomic or r.depends_on_time)
+        parameters = self.parameters()
         placed, at_rest = SE3.to_joint_axes(parameters, pose_components(poses), (0.0,) * 6)
         length = length_of(parameters)
         small = CLOSED * length  # m

@@ -1,4 +1,4 @@
-"""Motion as given: positions and speeds of joints as functions of time."""
+"""Motion as given, and rolling: positions and speeds of joints, constraints on velocities."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from cases import column, integrate
 from scipy.integrate import solve_ivp
+from scipy.spatial.transform import Rotation
 
 import lierb
 
@@ -114,3 +115,88 @@ def test_c45_a_four_bar_is_closed_at_a_given_angle():
         right = np.exp(1j * (np.angle(line) + side * inner - asked))
         np.testing.assert_allclose(found["crank"][:, 0], asked, rtol=0, atol=1e-13)
         np.testing.assert_allclose(np.exp(1j * found["coupler"][:, 0]), right, rtol=0, atol=1e-12)
+
+
+# ---- c25: a rolling disc -----------------------------------------------------------------------
+
+DISC_MASS, DISC_RADIUS = 0.8, 0.25  # kg, m
+ACROSS, ALONG = 0.25 * DISC_MASS * DISC_RADIUS**2, 0.5 * DISC_MASS * DISC_RADIUS**2
+
+
+@lierb.constraint(radius=DISC_RADIUS)
+def on_the_floor(R, r, params):
+    return r[2] - params.radius * np.sqrt(1.0 - R[2, 2] * R[2, 2])
+
+
+@lierb.velocity_constraint(radius=DISC_RADIUS)
+def no_slip(R, omega, v, params):
+    edge = -params.radius / np.sqrt(1.0 - R[2, 2] * R[2, 2])
+    slip = R @ (v + np.cross(omega, np.array([edge * R[2, 0], edge * R[2, 1], 0.0])))
+    return slip[0], slip[1]
+
+
+def rolled(t, start):
+    """Solution by SciPy, in the axes (e₁ level, e₂ up the disc, e₃ its axis), of Euler's equations.
+
+    start : ψ, θ, φ and ω in these axes; e₃ = Rz(ψ) Rx(θ) e_z. About the moving contact −a e₂:
+    (A + m a²) ω̇₁ = A ω₂² cot θ − (C + m a²) ω₂ω₃ − m g a cos θ, A ω̇₂ = C ω₁ω₃ − A ω₁ω₂ cot θ,
+    (C + m a²) ω̇₃ = m a² ω₁ω₂.
+    """
+    a, m = DISC_RADIUS, DISC_MASS
+    heavy = m * a * a
+
+    def rate(_, y):
+        psi, theta, _, w1, w2, w3, *_ = y
+        cot = np.cos(theta) / np.sin(theta)
+        e1 = np.array((np.cos(psi), np.sin(psi)))
+        e3 = np.sin(theta) * np.array((np.sin(psi), -np.cos(psi)))
+        return [
+            w2 / np.sin(theta), w1, w3 - w2 * cot,
+            (ACROSS * w2 * w2 * cot - (ALONG + heavy) * w2 * w3 - m * G * a * np.cos(theta))
+            / (ACROSS + heavy),
+            (ALONG * w1 * w3 - ACROSS * w1 * w2 * cot) / ACROSS,
+            heavy * w1 * w2 / (ALONG + heavy),
+            *(a * (w1 * e3 - w3 * e1)),
+        ]  # fmt: skip
+
+    y0 = [*start, 0.0, 0.0]
+    y = solve_ivp(rate, (0.0, t[-1]), y0, "DOP853", t_eval=t, rtol=1e-12, atol=1e-13).y
+    w1, w2, w3 = y[3:6]
+    turning = np.array([rate(0.0, each)[3:6] for each in y.T]).T
+    cot = np.cos(y[1]) / np.sin(y[1])
+    force = m * np.array([
+        -a * turning[2] + a * w1 * w2,
+        -a * w2 * w3 * cot - a * w1 * w1 + G * np.sin(y[1]),
+        a * turning[0] + a * w2 * w3 + G * np.cos(y[1]),
+    ])  # fmt: skip
+    return y, force
+
+
+@pytest.mark.slow
+def test_c25_a_disc_rolls_as_scipy_says():
+    """sympy#27631, mujoco#450: a disc that rolls without slip. Right: SciPy, with its reactions."""
+    start = (0.4, 1.1, 0.3, 0.2, 0.8, -6.0)  # ψ, θ, φ, ω₁, ω₂, ω₃
+    t = np.linspace(0.0, 2.0, 11)
+    right, force = rolled(t, start)
+    psi, theta, phi = right[:3]
+    turn = Rotation.from_euler("ZXZ", np.stack([psi, theta, phi], 1)).as_matrix()
+    level = Rotation.from_euler("ZX", np.stack([psi, theta], 1)).as_matrix()
+    body = lierb.Body(DISC_MASS, (ACROSS, ACROSS, ALONG))
+    problem = lierb.Problem(
+        body, lierb.joints.free(), (0.0, 0.0, -G), constraints=[on_the_floor(), no_slip()]
+    )
+    pose0, omega = np.eye(4), level[0] @ start[3:]
+    pose0[:3, :3], pose0[2, 3] = turn[0], DISC_RADIUS * np.sin(start[1])
+    moving = np.cross(omega, DISC_RADIUS * level[0][:, 1])
+    twist0 = np.concatenate([turn[0].T @ omega, turn[0].T @ moving])
+    result = integrate(
+        problem, pose0=pose0, twist0=twist0, dt=5e-4, t_end=2.0, save_every=400, method="RK4"
+    )
+    assert result.failed.size == 0
+    # RK4 of 6 rad/s at 0.5 ms, on a path of 3 m
+    np.testing.assert_allclose(result.position[:, 0, :2].T, right[6:], rtol=0, atol=1e-9)
+    np.testing.assert_allclose(result.rotation[:, 0], turn, rtol=0, atol=1e-9)
+    contact = np.einsum("nij,jn->ni", level, force)
+    found = -column(result.history, "lambda")[:, [1, 2, 0]]
+    np.testing.assert_allclose(found, contact, rtol=0, atol=1e-7)
+    assert np.max(column(result.summary, "energy_drift_max")) < 1e-8

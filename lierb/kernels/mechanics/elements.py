@@ -24,7 +24,6 @@ from lierb.kernels.mechanics.newton_euler import (
     SE3,
     BodyConstants,
     Frames,
-    Kinematics,
     Motion,
     Parameters,
     Pose,
@@ -32,7 +31,7 @@ from lierb.kernels.mechanics.newton_euler import (
     frames_of,
     inertia_about_com,
 )
-from lierb.kernels.mechanics.rows import AddedRow, HeldBody, Rows
+from lierb.kernels.mechanics.rows import AddedRow, Rows
 from lierb.kernels.mechanics.scale import ROUNDING
 from lierb.kernels.numbers.arithmetic import PI, absolute, flatten, fma, plain, rint, where
 from lierb.kernels.numbers.number import Number
@@ -231,7 +230,7 @@ class UserWrench(Element):
         frame = UserFrame(*placed[0])
         (r, place), (omega, v) = frame.pose(x.q, x.place), frame.twist(x.omega, x.v)
         turning = sum((cross(row(r, i), omega) for i in range(3)), start=())  # Ṙ = R ω̂
-        energy = self.potential(placed[1], _moving(r, turning), _moving(place, mat_vec(r, v)))
+        energy = self.potential(placed[1], moving(r, turning), moving(place, mat_vec(r, v)))
         return total + energy.parts[0] if isinstance(energy, UserNumber) else total
 
     def jumps(self, placed: Any) -> tuple[Any, ...]:
@@ -265,76 +264,7 @@ class UserFrame(NamedTuple):
         return cross_add(self.origin, pull, mat_t_vec(self.axes, torque)), pull
 
 
-# ---- constraints -------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class UserConstraint(Element):
-    """User's constraint h(R, r) = 0."""
-
-    does_work: ClassVar = False
-    function: Function
-    rows: int = 1
-    is_translational: bool = True
-
-    def row(self, place: int, i: int) -> AddedRow:
-        return UserRow(self, place, i)
-
-    def placed(self, given: dict[str, Any], frames: Frames) -> tuple[Any, ...]:
-        return UserFrame.of(frames), tuple(given.values())
-
-
-class UserRow(AddedRow):
-    """Row of a user's constraint; dual numbers give its J and η."""
-
-    @property
-    def is_translational(self) -> bool:  # type: ignore[override]
-        return bool(self.element.is_translational)
-
-    def __str__(self) -> str:
-        return self.element.function.name + (str(self.i + 1) if self.element.rows > 1 else "")
-
-    def _of(self, body: HeldBody, r: Any, place: Any) -> Any:
-        return self.element.function(self.placed(body)[1], r, place)[self.i]
-
-    def value(self, x: Kinematics, body: HeldBody) -> Any:
-        h = self._of(body, *UserFrame(*self.placed(body)[0]).pose(x.q, x.d))
-        return h.value if isinstance(h, UserNumber) else h
-
-    def jacobian(self, x: Kinematics, body: HeldBody) -> Vec:
-        """Derivative along the six unit twists, Ṙ = R ω̂ and ṙ = R v in the user's body axes."""
-        frame = UserFrame(*self.placed(body)[0])
-        r, place = frame.pose(x.q, x.d)
-        entries = []
-        for axis in range(3):
-            a, b, c = row(r, axis)
-            for entry, turning in ((a, (ZERO, -c, b)), (b, (c, ZERO, -a)), (c, (-b, a, ZERO))):
-                entries.append(UserNumber(entry, turning + ZERO3))
-        places = [UserNumber(place[axis], ZERO3 + row(r, axis)) for axis in range(3)]
-        h = self._of(body, tuple(entries), tuple(places))
-        slope = h.parts if isinstance(h, UserNumber) else ZERO6
-        torque, force = frame.to_joint_axes(slope[:3], slope[3:])
-        return cross_add(x.arm, force, torque) + x.translation(mat_vec(x.q, force), force)
-
-    def acceleration(self, x: Kinematics, body: HeldBody) -> Any:
-        """Return η = −ḧ at V̇ = 0, where R̈ = R ω̂²."""
-        frame = UserFrame(*self.placed(body)[0])
-        r, place = frame.pose(x.q, x.d)
-        omega, v = frame.twist(x.omega, x.point_rate)
-        swing = cross(x.omega, cross(x.omega, frame.origin))
-        entries = []
-        for axis in range(3):
-            along = row(r, axis)
-            rate = cross(along, omega)  # (aᵀ ω̂)ᵀ = a×ω
-            entries += [second(*xs) for xs in zip(along, rate, cross(rate, omega), strict=True)]
-        bend = mat_vec(r, mat_vec(frame.axes, add(x.point_bias, swing)))
-        places = [second(*xs) for xs in zip(place, mat_vec(r, v), bend, strict=True)]
-        h = self._of(body, tuple(entries), tuple(places))
-        slope = h.parts[0] if isinstance(h, UserNumber) else ZERO
-        return -slope.parts[0] if isinstance(slope, UserNumber) and slope.parts else ZERO
-
-
-def _moving(values: Vec, rates: Vec) -> Vec:
+def moving(values: Vec, rates: Vec) -> Vec:
     """Numbers with their first derivatives."""
     return tuple(UserNumber(plain(x), (rate,)) for x, rate in zip(values, rates, strict=True))
 

@@ -20,7 +20,7 @@ from lierb.kernels.functions.source_lines import where_it_was
 from lierb.kernels.functions.trials import compile_alone, trial
 
 ARGUMENTS: dict[str, Shape] = {"t": (), "R": (3, 3), "r": (3,), "omega": (3,), "v": (3,)}
-MOTION, POSE = tuple(ARGUMENTS), ("R", "r")
+MOTION, POSE, VELOCITY = tuple(ARGUMENTS), ("R", "r"), ("omega", "v")
 SIGNALS = ("states", "controls")
 # Measured with AVX-512, one thread, RK4: a spring with drag and a stop, 13 and 14 times on a free
 # body, 36 and 58 on a revolute joint. A function that makes no array loses nothing.
@@ -134,10 +134,14 @@ def _frames_of_lierb() -> int:
 
 
 def form_of_any(
-    signals: tuple[str, ...], function: UserFunction, name: str, has_parameters: bool
+    signals: tuple[str, ...],
+    function: UserFunction,
+    name: str,
+    has_parameters: bool,
+    arguments: tuple[str, ...] = MOTION,
 ) -> tuple[str, ...]:
-    """Names of the function's arguments in its order: any of ARGUMENTS, params, body, signals."""
-    signature, known = inspect.signature(function), (*ARGUMENTS, "params", "body", *signals)
+    """Names of the function's arguments in its order: any of `arguments`, params, body, signals."""
+    signature, known = inspect.signature(function), (*arguments, "params", "body", *signals)
     expected = f"any of ({', '.join(known)}) by these names"
     form: list[str] = []
     for parameter in signature.parameters.values():

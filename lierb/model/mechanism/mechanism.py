@@ -39,7 +39,7 @@ class Mechanism(TreeKinematics):
     forces : Force or iterable of Force, optional
         Forces made by `lierb.forces` and `lierb.wrench`.
     constraints : Constraint or iterable of Constraint, optional
-        Constraints made by `lierb.constraint`.
+        Constraints made by `lierb.constraint` and `lierb.velocity_constraint`.
     observables : Observable or iterable of Observable, optional
         Columns of the results, made by `lierb.observable`.
     events : Event or iterable of Event, optional

@@ -96,7 +96,7 @@ class ForceSection(ElementSection):
 
 
 class ConstraintSection(ElementSection):
-    """Function with `@lierb.constraint` in a file beside the study."""
+    """Function with `@lierb.constraint` or `@lierb.velocity_constraint` beside the study."""
 
     table = "constraints"
 
