@@ -259,6 +259,13 @@ class UserFrame(NamedTuple):
         moving = cross_add(omega, self.origin, v)
         return mat_vec(self.axes, omega), mat_vec(self.axes, moving)
 
+    def felt(self, x: Motion) -> tuple[Vec, Vec]:
+        """Return ω̇ and the specific force at the user's origin, in the user's body axes."""
+        turning, point = x.felt[:3], x.felt[3:]
+        swing = cross(x.omega, cross(x.omega, self.origin))
+        moving = cross_add(turning, self.origin, add(point, swing))
+        return mat_vec(self.axes, turning), mat_vec(self.axes, moving)
+
     def to_joint_axes(self, torque: Vec, force: Vec) -> Wrench:
         pull = mat_t_vec(self.axes, force)
         return cross_add(self.origin, pull, mat_t_vec(self.axes, torque)), pull
@@ -277,6 +284,9 @@ def second(value: Any, rate: Any, bend: Any) -> UserNumber:
 # ---- passive elements --------------------------------------------------------------------------
 
 
+FELT = ("alpha", "specific_force")  # arguments of functions that depend on accelerations
+
+
 class Passive(Element):
     """User's function of a motion, without effect on it."""
 
@@ -290,10 +300,16 @@ class Passive(Element):
     def power(self, placed: Any, x: Motion, wrench: Wrench) -> Any:
         return ZERO
 
+    @property
+    def feels(self) -> bool:
+        """True if the function takes accelerations."""
+        return any(FELT[0] in dict(f.arguments) for f in self.functions)
+
     def arguments(self, placed: Any, x: Motion) -> tuple[Any, ...]:
-        """Arguments t, R, r, omega and v of the function, in the user's frames."""
+        """Arguments t, R, r, omega and v of the function, and FELT, in the user's frames."""
         frame = UserFrame(*placed[0])
-        return x.time, *frame.pose(x.q, x.place), *frame.twist(x.omega, x.v)
+        motion = x.time, *frame.pose(x.q, x.place), *frame.twist(x.omega, x.v)
+        return (*motion, *frame.felt(x)) if self.feels else motion
 
     def evaluate(self, placed: Any, x: Motion, noise: Noise | None = None) -> Any:
         """Evaluate the function at a motion."""

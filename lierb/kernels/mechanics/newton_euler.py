@@ -181,7 +181,11 @@ class Frames(NamedTuple):
 
 
 class Motion(NamedTuple):
-    """Motion on which applied forces depend; body points are relative to the joint's point."""
+    """Motion on which applied forces depend; body points are relative to the joint's point.
+
+    felt : ω̇, and the acceleration of the joint's point less gravity, in body axes; for elements
+        that depend on accelerations, else empty.
+    """
 
     time: Number
     q: Mat
@@ -189,6 +193,7 @@ class Motion(NamedTuple):
     omega: Vec
     v: Vec  # velocity of the joint's point, in body axes
     signals: Signals = NO_SIGNALS
+    felt: Vec = ()
 
     def place_of(self, point: Vec) -> Vec:
         """Position of a point of the body in the ground's joint frame."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from types import ModuleType
 from typing import Any, ClassVar, NamedTuple
 
@@ -33,7 +33,7 @@ from lierb.kernels.mechanics.newton_euler import (
 from lierb.kernels.mechanics.scale import bearings, pose_tolerances, twist_tolerances
 from lierb.kernels.mechanics.tree import Connection
 from lierb.kernels.numbers.arithmetic import PI, any_lanes, branch, sqrt, where
-from lierb.kernels.numbers.vec import ZERO6, Vec, diagonal, dot
+from lierb.kernels.numbers.vec import ZERO6, Vec, diagonal, dot, mat_t_vec, mat_vec, sub
 from lierb.kernels.numbers.zero import ZERO
 from lierb.kernels.systems.acceleration import accelerate
 from lierb.kernels.systems.body_inputs import (
@@ -275,6 +275,14 @@ class OneBody(StateArithmetic):
         x = self.plan.space.kinematics(body, *motion)._replace(time=time)
         with_signals = x.motion._replace(signals=body.signals)
         return lambda _: with_signals
+
+    def felt(self, body: BodyConstants, motion: BodyMotion, time: Any) -> Callable[[int], Vec]:
+        q, d = motion.pose
+        solution = accelerate(
+            self.plan, body, ((), d), motion.velocity, time, q, to_ground=partial(mat_vec, q)
+        )
+        felt = solution.turning + sub(solution.moving, mat_t_vec(q, body.gravity))
+        return lambda _: felt
 
     def measured(
         self,

@@ -5,7 +5,7 @@ Their numbers are concatenated in the order of the plan's elements.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import lru_cache
 from itertools import accumulate
 from typing import Any, TypeVar
@@ -113,6 +113,7 @@ class PassiveElements:
 
     motion: Callable[..., Any]
     motions: Callable[..., Callable[[int], Motion]]  # motion by element index
+    felt: Callable[..., Callable[[int], Vec]]  # `Motion.felt` by element index
 
     def travel(
         self, body: Any, start: Any, end: Any, time: Any, watched: bool
@@ -146,8 +147,9 @@ class PassiveElements:
 
     def events_nearby(self, body: Any, motion: Any, time: Any) -> tuple[Any, ...]:
         """Value of each event's function at a motion perturbed by some rounding errors."""
-        x = self.motions(body, motion, time)
-        return tuple(e.value_nearby(own, x(i)) for i, e, own in self._all(UserEvent, body))
+        elements = self._all(UserEvent, body)
+        x = self._seen(elements, body, motion, time)
+        return tuple(e.value_nearby(own, x(i)) for i, e, own in elements)
 
     def state_rates(self, body: Any, motion: Any, time: Any) -> Vec:
         """Derivatives of all extra states."""
@@ -181,7 +183,7 @@ class PassiveElements:
         body.signals : signals, with the memory of all controllers.
         """
         i, element, own = self._all(UserController, body)[which]
-        x = self.motions(body, motion, time)(i)
+        x = self._seen([(i, element, own)], body, motion, time)(i)
         memory = x.signals.memory[memory_slices(self.plan)[which]]
         return element.called(own, x._replace(signals=x.signals._replace(memory=memory)), noise)
 
@@ -194,5 +196,15 @@ class PassiveElements:
         elements = self._all(kind, body)
         if not elements:
             return ()
-        x = self.motions(body, motion, time)
+        x = self._seen(elements, body, motion, time)
         return tuple(e.value(own, x(i)) for i, e, own in elements)
+
+    def _seen(
+        self, elements: Sequence[tuple[int, Any, Any]], body: Any, motion: Any, time: Any
+    ) -> Callable[[int], Motion]:
+        """Motion by element index, with accelerations if one of the elements takes them."""
+        motions = self.motions(body, motion, time)
+        if not any(element.feels for _, element, _ in elements):
+            return motions
+        felt = self.felt(body, motion, time)
+        return lambda i: motions(i)._replace(felt=felt(i))

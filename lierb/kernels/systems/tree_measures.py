@@ -102,6 +102,11 @@ class TreeMeasures(TreeAccelerations):
         relatives, first = self.relatives(body, motion), len(self.plan.joints)
         return lambda i: relatives[first + i].x.motion._replace(signals=body.signals)
 
+    def felt(self, body: TreeConstants, motion: TreeMotion, time: Any) -> Callable[[int], Vec]:
+        moved = self.accelerate(body, motion).solved.response.moved  # of a ground that falls by −g
+        places = self.plan.connections[len(self.plan.joints) :]
+        return lambda i: moved[places[i].node]
+
     def in_user_frames(self, body: TreeConstants, numbers: list[Any], state: State) -> list[Vec]:
         motion = self.motion(body, state, ZERO)
         links = []

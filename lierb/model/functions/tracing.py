@@ -18,9 +18,11 @@ from lierb.kernels.functions.refusals import TEXT
 from lierb.kernels.functions.shapes import Shape, UserFunction
 from lierb.kernels.functions.source_lines import where_it_was
 from lierb.kernels.functions.trials import compile_alone, trial
+from lierb.kernels.mechanics.elements import FELT
 
 ARGUMENTS: dict[str, Shape] = {"t": (), "R": (3, 3), "r": (3,), "omega": (3,), "v": (3,)}
 MOTION, POSE, VELOCITY = tuple(ARGUMENTS), ("R", "r"), ("omega", "v")
+ARGUMENTS |= dict.fromkeys(FELT, (3,))
 SIGNALS = ("states", "controls")
 # Measured with AVX-512, one thread, RK4: a spring with drag and a stop, 13 and 14 times on a free
 # body, 36 and 58 on a revolute joint. A function that makes no array loses nothing.
@@ -139,9 +141,14 @@ def form_of_any(
     name: str,
     has_parameters: bool,
     arguments: tuple[str, ...] = MOTION,
+    further: tuple[str, ...] = (),
 ) -> tuple[str, ...]:
-    """Names of the function's arguments in its order: any of `arguments`, params, body, signals."""
-    signature, known = inspect.signature(function), (*arguments, "params", "body", *signals)
+    """Names of the function's arguments in its order.
+
+    They are any of `arguments`, params, body, `signals` and `further`.
+    """
+    signature = inspect.signature(function)
+    known = (*arguments, "params", "body", *signals, *further)
     expected = f"any of ({', '.join(known)}) by these names"
     form: list[str] = []
     for parameter in signature.parameters.values():
@@ -159,6 +166,13 @@ def form_of_any(
 
 
 by_name = partial(form_of_any, SIGNALS)
+by_feeling = partial(form_of_any, SIGNALS, further=FELT)
+
+
+def seen_by(function: UserFunction) -> tuple[str, ...]:
+    """Arguments of a function of the motion: MOTION, and FELT if it takes any of these."""
+    names = inspect.signature(function).parameters
+    return (*MOTION, *FELT) if any(name in names for name in FELT) else MOTION
 
 
 def form_of(
@@ -176,6 +190,11 @@ def form_of(
     own = list(signature.parameters.values())
     named = {p.name: i for i, p in enumerate(own) if p.name in others and p.kind is POSITIONAL}
     for p in own:
+        if p.name in FELT:
+            raise ForceError(
+                f"{name} takes {signature}, but sees no {p.name}, which depends on all forces; "
+                "observables, events and controllers do"
+            )
         if p.name in SIGNALS and p.name not in others and p.default is inspect.Parameter.empty:
             raise ForceError(
                 f"{name} takes {signature}, but sees no {p.name}: wrenches, observables, events, "

@@ -9,7 +9,7 @@ from typing import Any
 
 from numpy.typing import ArrayLike
 
-from lierb.errors import ArgumentError, items_of, unknown_name
+from lierb.errors import ArgumentError, ForceError, items_of, unknown_name
 from lierb.kernels.mechanics.rows import Rows
 from lierb.model.acting import fitted, require
 from lierb.model.base import Model
@@ -245,6 +245,11 @@ class Tree(Model):
             element = replace(element, at=self.names)
         if element.kind.needs_axis:
             return self._on_joint(label, element)
+        if len(element.at) > 1 and getattr(element.kind, "feels", False):
+            raise ForceError(
+                f"{label}, {element.name}, takes accelerations, which are relative to the ground, "
+                f"but is on two links; place it by .on({element.at[0]!r})"
+            )
         others = [x for x in (*self.names, GROUND) if x != element.at[0]]
         for name, known in zip(element.at, (self.names, others), strict=False):
             if name not in known:
