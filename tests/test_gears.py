@@ -186,10 +186,14 @@ OPTIONS = {
     "projected": {"stabilise": "project"},
     "Baumgarte on SE3": {"stabilise": lierb.baumgarte(20.0, 20.0), "cspace": "SE3"},
     "adaptive": {"rtol": 1e-10, "method": "DOP853"},
+    "Rosenbrock": {"rtol": 1e-9, "method": "Rodas5P"},
 }
 
 
-@pytest.mark.parametrize("options", tiered(OPTIONS, ["reduced"], ["SE3", "projected", "adaptive"]))
+SLOW = ["SE3", "projected", "adaptive", "Rosenbrock"]
+
+
+@pytest.mark.parametrize("options", tiered(OPTIONS, ["reduced"], SLOW))
 def test_a_geared_arm_moves_as_scipy_says(options):
     """The gear's two joints share a link. Right: one coordinate, by SciPy."""
     machine, chosen = arm(), {"dt": 1e-3} | OPTIONS[options]

@@ -35,8 +35,12 @@ ADAPTIVE = {"rtol": 1e-10, "method": "DOP853"}
 
 @pytest.mark.parametrize(
     "options",
-    [{"dt": 1e-3}, pytest.param(ADAPTIVE, marks=pytest.mark.slow)],
-    ids=["fixed", "adaptive"],
+    [
+        {"dt": 1e-3},
+        pytest.param(ADAPTIVE, marks=pytest.mark.slow),
+        pytest.param({"rtol": 1e-10, "method": "Rodas5P"}, marks=pytest.mark.slow),
+    ],
+    ids=["fixed", "adaptive", "Rosenbrock"],
 )
 def test_a_spring_is_wound_by_many_turns(options):
     """Right: A cos(ωt), 16 turns at most; the energy of the spring is that of the counted angle."""

@@ -44,10 +44,12 @@ def solution(t, speed, turn):
     return V * np.tanh(phase), V / k / np.cosh(phase)
 
 
-SLEIGH_OPTIONS = {"SE3": {}, "ambient": {"update": "ambient"}}
+SLEIGH_OPTIONS = {
+    "SE3": {}, "ambient": {"update": "ambient"}, "Rosenbrock": {"method": "Rodas5P"},
+}  # fmt: skip
 
 
-@pytest.mark.parametrize("options", tiered(SLEIGH_OPTIONS, ["SE3"], ["ambient"]))
+@pytest.mark.parametrize("options", tiered(SLEIGH_OPTIONS, ["SE3"], ["ambient", "Rosenbrock"]))
 def test_chaplygins_sleigh_turns_until_it_glides_along_its_blade(options):
     """Right: the published solution, and the blade's force m (ẍ of the centre of mass)."""
     problem, t = sleigh(), np.linspace(0.0, 3.0, 13)
