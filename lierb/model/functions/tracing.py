@@ -22,7 +22,7 @@ from lierb.kernels.mechanics.elements import FELT
 
 ARGUMENTS: dict[str, Shape] = {"t": (), "R": (3, 3), "r": (3,), "omega": (3,), "v": (3,)}
 MOTION, POSE, VELOCITY = tuple(ARGUMENTS), ("R", "r"), ("omega", "v")
-ARGUMENTS |= dict.fromkeys(FELT, (3,))
+FURTHER: dict[str, Shape] = ARGUMENTS | dict.fromkeys(FELT, (3,))
 SIGNALS = ("states", "controls")
 # Measured with AVX-512, one thread, RK4: a spring with drag and a stop, 13 and 14 times on a free
 # body, 36 and 58 on a revolute joint. A function that makes no array loses nothing.
@@ -71,7 +71,7 @@ def described(
     except UnfitFunctionError as error:
         raise ForceError(f"{name} cannot be compiled: {error}") from None
     return Function(
-        name, digest, own_form, tuple((x, ARGUMENTS[x]) for x in arguments), tuple(shapes.items()),
+        name, digest, own_form, tuple((x, FURTHER[x]) for x in arguments), tuple(shapes.items()),
         results, True, python, references, modules, **fields,
     )  # fmt: skip
 
