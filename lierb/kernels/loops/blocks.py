@@ -144,7 +144,7 @@ def integrate_blocks(plan, inputs, counter, jobs):
                 state = initial_state(plan, body, placed, inputs)
             record = initial_record(plan, body, state)
             if resumes:
-                record = resumed_record(plan, inputs, record)
+                record = resumed_record(plan, body, inputs, record)
         invariant = is_invariant(plan, state, clock.dt)
         while True:
             if fresh:

@@ -10,6 +10,7 @@ from lierb.kernels.loops.record import (
     carried_columns,
     initial_record,
     initial_state,
+    lane_input,
     load_carried,
     load_placed,
     resumed_record,
@@ -176,10 +177,7 @@ def _first_tick(start: Any, period: Any) -> Any:
 def resumed(plan: AnyPlan, body: Any, lanes: Lanes, limits: Tolerances, inputs: Any) -> Lanes:
     """Return the lanes with the final clock and controllers of the run before."""
     columns = lane_end(plan)
-    is_looped = plan.is_looped
-    first: Any = (
-        in_memory(plan).lane_column(body) if is_looped else system_of(plan).inputs["lane"].start
-    )
+    first = lane_input(plan, body)
     places = [(first + c, 0) for c in range(columns.count)]
     before = columns.parts([load(inputs, place, plan.lanes) for place in places])
     control = (
@@ -187,7 +185,7 @@ def resumed(plan: AnyPlan, body: Any, lanes: Lanes, limits: Tolerances, inputs: 
         for name, mine in lanes.control._asdict().items()
     )
     clock = continued(plan, lanes.clock, limits, before)
-    record = resumed_record(plan, inputs, lanes.record)
+    record = resumed_record(plan, body, inputs, lanes.record)
     return lanes._replace(record=record, clock=clock, control=Control(*control))
 
 
@@ -219,9 +217,10 @@ def store_lane_end(plan: AnyPlan, body: Any, lanes: Lanes, ends: Any) -> None:
     """Store clock and controllers behind the state, for a run that continues."""
     clock = lanes.clock._replace(ahead=lanes.clock.ahead + lanes.clock.steps)
     own = tuple(getattr(clock, field.name) for field in LANE_END.fields)
-    first: Any = len(state_columns(plan)) + plan.keeps_rank
+    first: Any = len(state_columns(plan))
     if plan.is_looped:
         first = in_memory(plan).end_columns(body)
+    first = first + int(plan.keeps_rank)
     for row, number in enumerate(flatten((own, lanes.control))):
         put_row(plan, ends, first + row, number)
 

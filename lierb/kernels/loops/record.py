@@ -50,7 +50,8 @@ from lierb.kernels.systems.plan import AnyPlan, MechanismPlan
 from lierb.kernels.systems.signals import controller_fields, lane_end, signals_width
 from lierb.kernels.systems.state import NON_FINITE, OK, RAISED, State
 from lierb.kernels.systems.system_of import in_memory, system_of
-from lierb.kernels.systems.tree_table import STATE_ROWS, table_of
+from lierb.kernels.systems.tree_places import STATE_ROWS
+from lierb.kernels.systems.tree_table import table_of
 from lierb.kernels.tracing import calls
 from lierb.kernels.tracing.trace import kernel
 
@@ -177,13 +178,19 @@ def resumed_state(plan: AnyPlan, body: Any, inputs: Any) -> State:
     return state
 
 
-def resumed_record(plan: AnyPlan, inputs: Any, record: Record) -> Record:
+def resumed_record(plan: AnyPlan, body: Any, inputs: Any, record: Record) -> Record:
     """Return the record with the rank of the run that is continued, unless its rows differ."""
     if not plan.keeps_rank:
         return record
-    at = system_of(plan).inputs["lane"]
-    (dropped,) = _columns(plan, inputs, range(at.start, at.start + 1), 0)
+    dropped = load(inputs, (lane_input(plan, body), 0), plan.lanes)
     return record._replace(dropped=where(dropped == dropped, dropped, record.dropped))
+
+
+def lane_input(plan: AnyPlan, body: Any) -> Any:
+    """Return the first column of `lane_end` in the inputs."""
+    if plan.is_looped:
+        return in_memory(plan).lane_column(body)
+    return system_of(plan).inputs["lane"].start
 
 
 def with_rank(plan: AnyPlan, body: Any, record: Record) -> Any:
@@ -232,14 +239,19 @@ def store_end(
     plan: AnyPlan, body: Any, state: State, record: Record, ends: Any, column: Any
 ) -> None:
     """Store the state, and the rank at the start, for a run that continues."""
+    first: Any = 0
+    going_on: list[Any] = []
     if plan.is_looped:
         in_memory(plan).store_end(body, ends, column)
-        return
-    numbers = [*flatten(state)]
-    going_on = [numbers[c] for c in state_columns(plan)]
+        first = in_memory(plan).end_columns(body)
+    else:
+        numbers = [*flatten(state)]
+        going_on = [numbers[c] for c in state_columns(plan)]
     if plan.keeps_rank:
         going_on.append(record.dropped)
-    places = [(c, column) for c in range(len(going_on))]
+    if not going_on:
+        return
+    places = [(first + c, column) for c in range(len(going_on))]
     scatter(ends, 1, places, going_on, plan.lanes)
 
 

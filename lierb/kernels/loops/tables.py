@@ -83,11 +83,12 @@ def store_row(
         in_memory(plan).store_errors(body, tables.history, len(shown), at.row, at.column, alive)
     if not (plan.multipliers or plan.reaction):
         return
+    body = with_rank(plan, body, record)
     if plan.is_looped:
         arrays = tables.multipliers, tables.reactions
         in_memory(plan).store_forces(body, *arrays, at, time, alive)
         return
-    multipliers, wrenches = system_of(plan).forces(with_rank(plan, body, record), state, time)
+    multipliers, wrenches = system_of(plan).forces(body, state, time)
     if plan.multipliers and multipliers:
         count = len(multipliers)
         put(tables.multipliers, 1, [(at.row, at.column, c) for c in range(count)], multipliers)

@@ -166,12 +166,23 @@ class ElementKind(NamedTuple):
     """Kind of an element between two nodes in memory.
 
     on_ground : True if its other node is the ground.   on_joint : True if its frames are those of
-    a joint, not those of the nodes.
+    a joint, not those of the nodes.   on_loop : True if this joint closes a loop.
     """
 
     element: Element
     on_ground: bool
     on_joint: bool
+    on_loop: bool = False
+
+
+class ConstraintKind(NamedTuple):
+    """Kind of a connection in memory whose rows have multipliers.
+
+    element : kind of the motor or user's constraint that has the rows; None for a loop's joint.
+    """
+
+    rows: Rows
+    element: ElementKind | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -184,9 +195,15 @@ class LoopPlan(AnyPlan):
     kinds: tuple[Kind, ...]
     joint_kinds: tuple[JointKind, ...]
     element_kinds: tuple[ElementKind, ...] = ()
+    constraint_kinds: tuple[ConstraintKind, ...] = ()
+    stabilisation: Stabilisation = UNSTABILISED
 
     __hash__ = AnyPlan.__hash__
     is_looped = True
+
+    @property
+    def keeps_rank(self) -> bool:
+        return bool(self.constraint_kinds)
 
     @property
     def rows(self) -> Rows:
@@ -219,8 +236,14 @@ class MechanismPlan(AnyPlan):
         common = {field.name: getattr(self, field.name) for field in fields(AnyPlan)}
         kinds = tuple(dict.fromkeys(self.element_kinds))
         common["elements"] = tuple(dict.fromkeys(kind.element for kind in kinds))
+        constraints = dict.fromkeys(kind for _, kind in self.constraints)
         return LoopPlan(
-            **common, kinds=self.kinds, joint_kinds=self.joint_kinds, element_kinds=kinds
+            **common,
+            kinds=self.kinds,
+            joint_kinds=self.joint_kinds,
+            element_kinds=tuple(kind for kind in kinds if not kind.element.rows),
+            constraint_kinds=tuple(constraints),
+            stabilisation=self.stabilisation,
         )
 
     @cached_property
@@ -228,9 +251,20 @@ class MechanismPlan(AnyPlan):
         """Kind of each element."""
         places = self.connections[len(self.joints) :]
         return tuple(
-            ElementKind(element, at.other == GROUND, at.joint >= 0)
+            ElementKind(element, at.other == GROUND, at.joint >= 0, at.joint >= self.links)
             for element, at in zip(self.elements, places, strict=True)
         )
+
+    @cached_property
+    def constraints(self) -> tuple[tuple[int, ConstraintKind], ...]:
+        """Connections with rows, except the joints of links: their index, and their kind."""
+        loops = range(self.links, self.links + self.loops)
+        pairs = [(number, ConstraintKind(self.connections[number].rows)) for number in loops]
+        for number, kind in enumerate(self.element_kinds, loops.stop):
+            if kind.element.rows:
+                rows = tuple(kind.element.row(0, i) for i in range(kind.element.rows))
+                pairs.append((number, ConstraintKind(rows, kind)))
+        return tuple(pairs)
 
     @property
     def is_in_memory(self) -> bool:

@@ -12,13 +12,14 @@ from lierb.kernels.mechanics import subgroup, tree_nodes
 from lierb.kernels.mechanics.spatial import Pose, Rigid, twist_at
 from lierb.kernels.mechanics.tree import FREE, GROUND, HERE, Node, NodeConstants
 from lierb.kernels.mechanics.tree_nodes import MOTION, JointKind, Kind
-from lierb.kernels.numbers.arithmetic import flatten, load, where
-from lierb.kernels.numbers.vec import IDENTITY, ZERO3, ZERO6, ZERO9, Vec, sub
+from lierb.kernels.numbers.arithmetic import flatten, load, sqrt, where
+from lierb.kernels.numbers.vec import IDENTITY, ZERO3, ZERO6, ZERO9, Vec, norm, sub
 from lierb.kernels.numbers.zero import ZERO, is_zero
-from lierb.kernels.systems import tree_table as at
+from lierb.kernels.systems import tree_places as at
+from lierb.kernels.systems.connection_table import EASY, placed_shape
 from lierb.kernels.systems.layout import Columns, pose_of
 from lierb.kernels.systems.measures import JOINT_KEPT
-from lierb.kernels.systems.plan import ElementKind
+from lierb.kernels.systems.plan import ConstraintKind, ElementKind
 from lierb.kernels.systems.state import State
 from lierb.kernels.systems.tree_inputs import (
     JOINT,
@@ -32,16 +33,18 @@ from lierb.kernels.systems.tree_inputs import (
 )
 from lierb.kernels.systems.tree_memory import (
     LoopBody,
+    MemoryConnection,
+    MemoryConstraint,
     MemoryElement,
     MemoryNode,
     MemoryTree,
     TreeInMemory,
 )
-from lierb.kernels.systems.tree_table import placed_shape
 from lierb.kernels.tracing.arrays import Index
 from lierb.kernels.tracing.memory import Rows, for_each, switch
 
 NOTHING = Rigid(ZERO, ZERO3, ZERO9)  # of a massless node
+Numbers = Callable[[Index, int], Vec]  # some columns of the inputs, from one on
 WIDTHS = tuple(Columns(*fields).count for fields in (LINK, JOINT, START))
 _PAIR = (Node(GROUND, 1, "reduced", FREE, ()), Node(0, 0, "reduced", FREE, ()))
 
@@ -106,31 +109,37 @@ class LoopStart(TreeInMemory):
         tree.for_nodes(weigh)
         girth = 0.5 * sums[1] / sums[0]
         mass = first.constants[tree_nodes.MASS]
-        return LoopBody(tree.table, tree.memory, mass, gravity, girth)
+        body = LoopBody(tree.table, tree.memory, mass, gravity, girth)
+        if not self.plan.constraint_kinds:
+            return body
+        tree.for_constraints(lambda constraint: self._load_constraint(constraint, numbers))
+        sums.put(0, sqrt(2.0 * girth), 0.0)
+        tree.for_nodes(partial(_measure_node, sums))
+        return body._replace(length=sums[0], heavy=sums[1])
 
-    def _load_element(self, element: MemoryElement, numbers: Callable[[Index, int], Vec]) -> None:
-        tree, node = element.tree, element.node
-        first = tree[at.JOINT_COLUMN] + element.entry(at.ON_JOINT) * WIDTHS[1]
-        joint = Columns(*JOINT).parts(numbers(first, WIDTHS[1]))
-        constants, details = node.constants, node.details
-        mass, (com, inertia) = constants[tree_nodes.MASS], tree_nodes.com_and_inertia(details)
-        frame, other = (tree_nodes.frame_of(each.details) for each in (node, element.other))
-
+    def _load_element(self, element: MemoryElement, numbers: Numbers) -> None:
         def do(kind: ElementKind) -> None:
-            own, ground, outer = frame, HERE if kind.on_ground else other, HERE
-            if kind.on_joint:
-                own, ground = pose_of(joint["body_frame"]), pose_of(joint["ground_frame"])
-                outer = se3.compose(se3.inverse(other), ground)
-            column, given = element.entry(at.COLUMN), {}
-            for name, shape in kind.element.shapes.items():
-                found = numbers(column, prod(shape))
-                given[name], column = found if shape else found[0], column + prod(shape)
-            placed = placed_on(kind.element, given, mass, inertia, com, frame, own, ground)
-            pairs = zip(flatten(placed), flatten(placed_shape(kind)), strict=True)
-            stored = (x for x, shape in pairs if not is_zero(shape))
-            element.rows.put(0, *outer[0], *outer[1], *stored)
+            inner, outer, placed = _placed(element, kind, numbers)
+            frames = (outer, inner) if kind.on_loop else (outer,)
+            element.rows.put(0, *flatten(frames), *placed)
 
         element.each_kind(do)
+
+    def _load_constraint(self, constraint: MemoryConstraint, numbers: Numbers) -> None:
+        ends = constraint.node, constraint.other
+        easy = [x for each in ends for x in tree_nodes.easy_of(each.constants)]
+        joint = _joint_of(constraint, numbers)
+
+        def do(kind: ConstraintKind) -> None:
+            placed: Sequence[Any] = ()
+            if kind.element is None:
+                frames = _frames_on(constraint, joint)
+            else:
+                *frames, placed = _placed(constraint, kind.element, numbers)
+            constraint.rows.put(0, *flatten(tuple(frames)), *joint["pitch"], *joint["length"])
+            constraint.rows.put(EASY, *easy, *placed)
+
+        constraint.each_kind(do)
 
     def started(self, body: LoopBody, inputs: Any) -> State:
         """Store the start, from poses and twists in the user's frames; return its `State`."""
@@ -212,7 +221,7 @@ class LoopStart(TreeInMemory):
         """Set JOINT_KEPT to 0 where the mask, 1 or 0, is 1."""
         tree = self._tree(body)
         kept = tree.section(at.KEPT_ROW)
-        count = tree[at.LINKS] * len(JOINT_KEPT)
+        count = tree[at.JOINTS] * len(JOINT_KEPT)
         for_each(count, lambda i: kept.put(i, where(mask > 0.5, 0.0, kept[i])))
 
     def take_next(self, body: LoopBody, mask: Any) -> None:
@@ -244,3 +253,51 @@ class LoopStart(TreeInMemory):
     def _states(self, tree: MemoryTree) -> tuple[Rows, Rows]:
         first = tree[at.CHART_ROW]
         return tree.rows(first), tree.rows(first + tree[at.AHEAD])
+
+
+def _joint_of(connection: MemoryConnection, numbers: Numbers) -> dict[str, Vec]:
+    """Inputs of a connection's joint."""
+    first = connection.tree[at.JOINT_COLUMN] + connection.entry(at.ON_JOINT) * WIDTHS[1]
+    return Columns(*JOINT).parts(numbers(first, WIDTHS[1]))
+
+
+def _frames_on(connection: MemoryConnection, joint: dict[str, Vec]) -> tuple[Pose, Pose]:
+    """Frames of a joint on the two nodes of a connection."""
+    frames = (tree_nodes.frame_of(x.details) for x in (connection.node, connection.other))
+    own, ground = pose_of(joint["body_frame"]), pose_of(joint["ground_frame"])
+    inner, outer = (
+        se3.compose(se3.inverse(frame), place)
+        for frame, place in zip(frames, (own, ground), strict=True)
+    )
+    return inner, outer
+
+
+def _placed(
+    connection: MemoryConnection, kind: ElementKind, numbers: Numbers
+) -> tuple[Pose, Pose, list[Any]]:
+    """Frames between which an element acts, on its nodes, and numbers of its parameters there."""
+    node = connection.node
+    frame, other = (tree_nodes.frame_of(x.details) for x in (node, connection.other))
+    own, ground, inner, outer = frame, HERE if kind.on_ground else other, HERE, HERE
+    if kind.on_joint:
+        joint = _joint_of(connection, numbers)
+        own, ground = pose_of(joint["body_frame"]), pose_of(joint["ground_frame"])
+        inner, outer = _frames_on(connection, joint)
+    column, given = connection.entry(at.COLUMN), {}
+    for name, shape in kind.element.shapes.items():
+        found = numbers(column, prod(shape))
+        given[name], column = found if shape else found[0], column + prod(shape)
+    mass, (com, inertia) = (
+        node.constants[tree_nodes.MASS], tree_nodes.com_and_inertia(node.details)
+    )  # fmt: skip
+    placed = placed_on(kind.element, given, mass, inertia, com, frame, own, ground)
+    pairs = zip(flatten(placed), flatten(placed_shape(kind)), strict=True)
+    return inner, outer, [x for x, shape in pairs if not is_zero(shape)]
+
+
+def _measure_node(sums: Any, node: MemoryNode) -> None:
+    """Add a node's lever arms to the mechanism's length, and the root of its mass to the other."""
+    com, _ = tree_nodes.com_and_inertia(node.details)
+    _, point = tree_nodes.hang_of(node.constants)
+    root = sqrt(node.constants[tree_nodes.MASS])
+    sums.put(0, sums[0] + norm(com) + norm(point), sums[1] + root)

@@ -6,21 +6,23 @@ from functools import partial
 from typing import Any
 
 from lierb.kernels.mechanics import tree_nodes
+from lierb.kernels.mechanics.tree_connections import loads_of
 from lierb.kernels.mechanics.tree_nodes import PASSED, Kind
 from lierb.kernels.numbers.arithmetic import where
 from lierb.kernels.numbers.vec import Vec, add, dot
 from lierb.kernels.numbers.zero import ZERO, is_zero
-from lierb.kernels.systems import tree_table as at
+from lierb.kernels.systems import tree_places as at
 from lierb.kernels.systems.combine import NAN, summed, weighted
 from lierb.kernels.systems.plan import ElementKind
 from lierb.kernels.systems.state import Factors, Rates, Slopes, Stabilised, State, Units, Weights
-from lierb.kernels.systems.tree_loop_start import LoopStart
+from lierb.kernels.systems.tree_loop_rows import LoopRows
 from lierb.kernels.systems.tree_memory import LoopBody, MemoryElement, MemoryNode, MemoryTree
 from lierb.kernels.tracing.arrays import Index
+from lierb.kernels.tracing.lanes import Lane
 from lierb.kernels.tracing.memory import Rows, for_each, if_not_zero
 
 
-class LoopSteps(LoopStart):
+class LoopSteps(LoopRows):
     """Steps and error control."""
 
     def chart_gravity(self, body: LoopBody, chart: Any) -> None:
@@ -61,11 +63,26 @@ class LoopSteps(LoopStart):
         """Store the slopes of a stage as those of number `stage`."""
         tree = self._tree(body)
         ahead = tree[at.FREEDOMS] * stage
-        self._run("rates", body, self._rates, ahead, time)
-        power = tree.section(at.SUMS_ROW)[at.POWER] if self.plan.does_work else ZERO
-        return Rates((), (), power)
+        self._run("rates", body, self._rates, ahead, time, *self._scales(body))
+        sums = tree.section(at.SUMS_ROW)
+        power = sums[at.POWER] if self.plan.does_work else ZERO
+        return Rates((), (), power, sums[at.SINGULAR] if self.plan.constraint_kinds else ZERO)
 
-    def _rates(self, tree: MemoryTree, ahead: Index, time: Any) -> None:
+    def _rates(self, tree: MemoryTree, ahead: Index, time: Any, *scales: Lane) -> None:
+        def accelerate(node: MemoryNode) -> None:
+            constants, above, here = node.constants, node.above, node.motion
+            into = node.slopes(at.V_SLOPES, ahead)
+            node.each_kind(
+                lambda kind: into.put(0, *tree_nodes.accelerate(kind, constants, above, here))
+            )
+
+        self._load(tree, ahead, time)
+        if scales:
+            self._constrain(tree, time, *scales)
+        tree.for_nodes(accelerate)
+
+    def _load(self, tree: MemoryTree, ahead: Index, time: Any) -> None:
+        """Store motions, loads and articulated inertias."""
         acts = bool(self.plan.element_kinds)
 
         def gather(node: MemoryNode) -> None:
@@ -90,21 +107,14 @@ class LoopSteps(LoopStart):
 
             if_not_zero(sibling, add)
 
-        def accelerate(node: MemoryNode) -> None:
-            constants, above, here = node.constants, node.above, node.motion
-            into = node.slopes(at.V_SLOPES, ahead)
-            node.each_kind(
-                lambda kind: into.put(0, *tree_nodes.accelerate(kind, constants, above, here))
-            )
-
-        self._call_place(tree, ahead, is_whole=acts)
+        self._call_place(tree, ahead, is_whole=acts or bool(self.plan.constraint_kinds))
+        if self.plan.does_work:
+            tree.section(at.SUMS_ROW).put(at.POWER, 0.0)
         if acts:
             loads = tree.section(at.LOADS_ROW)
             for_each(tree[at.NODES] * 6 + 6, lambda i: loads.put(i, 0.0))
-            tree.section(at.SUMS_ROW).put(at.POWER, 0.0)
             tree.for_elements(lambda element: self._act(element, time))
         tree.for_nodes(gather, backward=True)
-        tree.for_nodes(accelerate)
 
     def _call_place(self, tree: MemoryTree, ahead: Index, is_whole: bool) -> None:
         """Emit a call of the outward pass at X and V of the stage, which stores Ẋ."""
@@ -132,12 +142,11 @@ class LoopSteps(LoopStart):
         places = [each.part(at.LOADS_ROW, 6) for each in (node, other)]
 
         def do(kind: ElementKind) -> None:
-            outer, placed = element.placed(kind)
-            x, lever = tree_nodes.between(outer, node.motion, other.motion, time)
+            placed, frame, x, lever = element.placed(kind, time)
             wrench = kind.element.wrench(placed, x)
             if kind.element.does_work:
                 sums.put(at.POWER, sums[at.POWER] + kind.element.power(placed, x, wrench))
-            loads = tree_nodes.loads_of(wrench, node.motion, lever)
+            loads = loads_of(wrench, frame, lever)
             for place, more in zip(places, loads, strict=True):
                 place.put(0, *add(place[0:6], more))
 

@@ -23,12 +23,25 @@ class Index(Traced):
         added = other.value if isinstance(other, Index) else self.value.type(other)
         return Index(self.trace, self.builder.add(self.value, added))
 
+    def __sub__(self, other: Index) -> Index:
+        return Index(self.trace, self.builder.sub(self.value, other.value))
+
     def __mul__(self, other: int | Index) -> Index:
         factor = other.value if isinstance(other, Index) else self.value.type(other)
         return Index(self.trace, self.builder.mul(self.value, factor))
 
     def real(self) -> Lane:
         return Lane(self.trace, self.builder.sitofp(self.value, DOUBLE))
+
+    def or_more(self, other: Index) -> Index:
+        """Return the larger of two integers."""
+        is_more = self.builder.icmp_signed(">", self.value, other.value)
+        return Index(self.trace, self.builder.select(is_more, self.value, other.value))
+
+    def or_less(self, other: Index) -> Index:
+        """Return the smaller of two integers."""
+        is_less = self.builder.icmp_signed("<", self.value, other.value)
+        return Index(self.trace, self.builder.select(is_less, self.value, other.value))
 
 
 class ArrayRef(Traced):

@@ -43,6 +43,11 @@ class Rows:
             self.trace, self.trace.builder.load(self._at(self.start, row), align=self.align)
         )
 
+    @property
+    def zero(self) -> Lane:
+        """A pack of zeros."""
+        return Lane(self.trace, constant_of(self.pack, 0.0))
+
     def put(self, row: Index | int, *numbers: Any) -> None:
         """Store numbers in successive rows."""
         for i, number in enumerate(numbers):
@@ -65,6 +70,31 @@ def for_each(count: Index, do: Callable[[Index], None], backward: bool = False) 
     with cgutils.for_range(count.builder, count.value) as loop:
         i = Index(count.trace, loop.index)
         do(count + i * -1 + -1 if backward else i)
+
+
+def accumulated(
+    count: Index,
+    start: Sequence[Lane],
+    step: Callable[[Index, tuple[Lane, ...]], Sequence[Lane]],
+    backward: bool = False,
+) -> tuple[Lane, ...]:
+    """Emit a loop that replaces some packs by step(i, packs), for i = 0 … count − 1.
+
+    The packs stay in registers.
+    """
+    builder = count.builder
+    slots = [cgutils.alloca_once(builder, x.value.type) for x in start]
+
+    def keep(numbers: Sequence[Lane]) -> None:
+        for slot, x in zip(slots, numbers, strict=True):
+            builder.store(x.value, slot)
+
+    def kept() -> tuple[Lane, ...]:
+        return tuple(Lane(count.trace, builder.load(slot)) for slot in slots)
+
+    keep(start)
+    for_each(count, lambda i: keep(step(i, kept())), backward)
+    return kept()
 
 
 def switch(kind: Index, cases: Sequence[Any], do: Callable[[Any], None]) -> None:

@@ -132,16 +132,14 @@ def why_unrolled(plan: MechanismPlan) -> str:
     reasons = {
         "links outside the reduced c-space": any(not n.is_reduced for n in plan.tree),
         "NUMBA_DISABLE_JIT": bool(numba.config.DISABLE_JIT),
-        "loops": plan.loops > 0,
         "joints whose motions are no group": any(node.rows for node in plan.tree),
-        "rows with multipliers": bool(plan.rows_with_multipliers),
         "observables, states, events and controllers": any(e.is_passive for e in plan.elements),
         "functions that are called body by body": plan.calls_functions,
         "stops, jumps and unknown functions of the pose, with adaptive steps": plan.has_lane_clocks
         and any(e.bounds_steps or e.discontinuities for e in plan.elements),
         f'update="{plan.update}"': plan.update != "local",
         "a commutator-free method": bool(plan.exponentials),
-        "stabilisation": plan.stabilisation.kind != "none",
+        "projection": plan.stabilisation.kind == "project",
     }
     return next((reason for reason, applies in reasons.items() if applies), "")
 
