@@ -189,6 +189,8 @@ def squared_correction(
     rtol = where(is_first, limits.rtol + ADMITTED, limits.rtol)
     scales = _scales(plan, body, state, kept.state, limits._replace(rtol=rtol), h)
     states = (ZERO,) * len(state.states)
+    if plan.is_looped:  # squares
+        return _largest_of(body, (*kept.x, *kept.v_or_mu), states, scales)
     turning, moving = (_parts(kept.x, first) for first in (0, 3))
     return _largest(plan, body, Defect(turning, moving, kept.v_or_mu, states), scales)
 

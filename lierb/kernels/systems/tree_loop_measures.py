@@ -13,14 +13,13 @@ from lierb.kernels.systems.combine import NAN
 from lierb.kernels.systems.measures import JOINT_ERRORS, JOINT_KEPT, Observed, orthogonality_squared
 from lierb.kernels.systems.plan import ElementKind
 from lierb.kernels.systems.state import State
-from lierb.kernels.systems.tree_loop_steps import LoopSteps
+from lierb.kernels.systems.tree_loop_projection import LoopProjection
 from lierb.kernels.systems.tree_memory import LoopBody, MemoryElement, MemoryNode, MemoryTree
-from lierb.kernels.systems.tree_table import slopes_of
 from lierb.kernels.tracing.arrays import Index
 from lierb.kernels.tracing.memory import for_each
 
 
-class LoopMeasures(LoopSteps):
+class LoopMeasures(LoopProjection):
     """Motion, energy, errors of the joints."""
 
     def motion(self, body: LoopBody, state: State, time: Any) -> None:
@@ -28,20 +27,6 @@ class LoopMeasures(LoopSteps):
         tree = self._tree(body)
         self._stay(tree)
         self._call_place(tree, self._spare(tree), is_whole=True)
-
-    def _spare(self, tree: MemoryTree) -> Index:
-        """Rows of all slopes of a step, behind which those of a state at rest are."""
-        return tree[at.FREEDOMS] * slopes_of(self.plan)
-
-    def _stay(self, tree: MemoryTree) -> None:
-        """Make the state the stage."""
-        x, v, stage = (tree.section(name) for name in (at.X_ROW, at.V_ROW, at.STAGE_ROW))
-
-        def copy(i: Index) -> None:
-            x.put(i, 0.0)
-            stage.put(i, v[i])
-
-        for_each(tree[at.FREEDOMS], copy)
 
     def observed(self, body: LoopBody, motion: None, time: Any) -> tuple[Any, ...]:
         return ()
@@ -57,7 +42,7 @@ class LoopMeasures(LoopSteps):
     def _rank(self, tree: MemoryTree, ahead: Index) -> None:
         """Count the rows that depend on others."""
         self._load(tree, ahead, ZERO)
-        self._ask(tree, ZERO)
+        self._ask(tree, ZERO, lambda *_: 0.0)
         self._factor(tree)
 
     def measured(

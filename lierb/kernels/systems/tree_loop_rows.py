@@ -7,14 +7,16 @@ outward is needed before λ is known.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
 from typing import Any
 
+from lierb.kernels.mechanics.rows import Row
 from lierb.kernels.mechanics.saddle import PIVOT_TOLERANCE
 from lierb.kernels.mechanics.tree_connections import Connected, Path, square_of
 from lierb.kernels.mechanics.tree_nodes import Kind, action_of, easy_of
 from lierb.kernels.numbers.arithmetic import fma, minimum, sqrt, where
-from lierb.kernels.numbers.vec import add, dot, norm, scale
+from lierb.kernels.numbers.vec import Vec, add, dot, norm, scale
 from lierb.kernels.numbers.zero import ZERO, is_zero
 from lierb.kernels.systems import tree_places as at
 from lierb.kernels.systems.connection_table import EASY
@@ -42,7 +44,7 @@ class LoopRows(LoopStart):
         self, tree: MemoryTree, time: Any, dropped: Lane, length: Lane, heavy: Lane
     ) -> None:
         """Solve for λ, and add its effect to the nodes' ν̇ by loads alone."""
-        self._ask(tree, time)
+        self._ask(tree, time, self._excess)
         self._factor(tree)
         forced = partial(self._forced, tree, heavy)
         violation = partial(self._violation, tree, time, length)
@@ -56,8 +58,11 @@ class LoopRows(LoopStart):
             )
             sums.put(at.POWER, power)
 
-    def _ask(self, tree: MemoryTree, time: Any) -> None:
-        """Store J V̇ − η without ν̇ and the mobility of each equation, and u at its nodes."""
+    def _ask(self, tree: MemoryTree, time: Any, value: Callable[..., Any]) -> None:
+        """Store right-hand side and mobility of each equation, and u at its nodes.
+
+        value : (rows at their motion, row, its wrenches): its right-hand side without ν̇.
+        """
 
         def one(constraint: MemoryConstraint) -> None:
             wrenches, easy = tree.section(at.WALK_ROW), constraint.rows[EASY : EASY + 8]
@@ -68,9 +73,8 @@ class LoopRows(LoopStart):
                 for i, r in enumerate(kind.rows):
                     loads = connected.loads(r)
                     wrenches.put(WRENCHES * i, *loads[0], *loads[1])
-                    excess = connected.excess(r, loads)
                     numbers = (
-                        self._stabilised(connected, r, excess),
+                        value(connected, r, loads),
                         connected.mobility(loads, (easy[:4], easy[4:])),
                         r.prescribed_rate(connected.x, connected.ends),
                     )
@@ -87,9 +91,9 @@ class LoopRows(LoopStart):
         self._run("assemble", tree, self._assemble)
         eliminate(tree, self._run, tree.rows(0).zero + PIVOT_TOLERANCE, at.MULTIPLIERS)
 
-    def _stabilised(self, connected: Connected, r: Any, excess: Any) -> Any:
-        """J V̇ − η with Baumgarte's terms."""
-        kept = self.plan.stabilisation
+    def _excess(self, connected: Connected, r: Row, loads: tuple[Vec, Vec]) -> Any:
+        """J V̇ − η, with Baumgarte's terms."""
+        kept, excess = self.plan.stabilisation, connected.excess(r, loads)
         if kept.kind != "baumgarte":
             return excess
         excess = fma(2.0 * kept.alpha, connected.rate_error(r), excess)
@@ -201,14 +205,17 @@ class LoopRows(LoopStart):
 
     # ---- tests of dependent rows: see `lierb.kernels.mechanics.tree_dynamics` ----
 
-    def _forced(self, tree: MemoryTree, heavy: Lane) -> Lane:
-        """Bound on accelerations by loads and motion, relative to the size of a row."""
+    def _forced(self, tree: MemoryTree, heavy: Lane | None) -> Lane:
+        """Bound on accelerations by loads and motion, relative to the size of a row.
+
+        heavy : None for accelerations by the motion alone.
+        """
         sums, gravity = tree.section(at.SUMS_ROW), tree.ground.constants[0:3]
-        sums.put(0, norm(gravity) * heavy * tree[at.ROOTS].real())
+        sums.put(0, 0.0 if heavy is None else norm(gravity) * heavy * tree[at.ROOTS].real())
 
         def one(node: MemoryNode) -> None:
             constants, here = node.constants, node.motion
-            if self.plan.element_kinds:
+            if self.plan.element_kinds and heavy is not None:
                 load = node.part(at.LOADS_ROW, 6)[0:6]
                 size = sqrt(square_of(load, easy_of(constants), here))
                 sums.put(0, sums[0] + size)
@@ -227,34 +234,66 @@ class LoopRows(LoopStart):
     def _violation(self, tree: MemoryTree, time: Any, length: Lane) -> Any:
         """Residual δ of pose and velocity, relative to the mechanism's length and speed."""
         sums = tree.section(at.SUMS_ROW)
-        sums.put(0, 0.0, 0.0, 0.0)
+        pose, speed = self._open(tree, time, length), self._size(tree, tree[at.STAGE_ROW], length)
+        sums.put(0, 0.0)
 
-        def one(constraint: MemoryConstraint) -> None:
-            def do(kind: ConstraintKind) -> None:
-                connected, pose, rates = constraint.connected(kind, time), sums[0], sums[1]
-                for r in kind.rows:
-                    turn = 1.0 if r.is_translational else length
-                    off = connected.residuals.get(r, ZERO) * turn / length
-                    rate = turn * connected.rate_error(r)
-                    pose, rates = fma(off, off, pose), fma(rate, rate, rates)
-                sums.put(0, pose, rates)
+        def rates(connected: Connected, r: Row) -> None:
+            rate = connected.rate_error(r)
+            rate = rate if r.is_translational else length * rate
+            sums.put(0, fma(rate, rate, sums[0]))
 
-            constraint.each_kind(do)
+        _for_equations(tree, time, rates)
+        whole = speed + sums[0]
+        return sqrt(pose + sums[0] / where(whole > 0.0, whole, 1.0))
 
-        def speed(node: MemoryNode) -> None:
+    def _open(self, tree: MemoryTree, time: Any, length: Lane) -> Lane:
+        """Sum of the squares of all residuals, with lengths relative to the mechanism's."""
+        sums, inverse = tree.section(at.SUMS_ROW), 1.0 / length
+        sums.put(0, 0.0)
+
+        def one(connected: Connected, r: Row) -> None:
+            off = connected.residuals.get(r, ZERO)
+            off = off * inverse if r.is_translational else off
+            if not is_zero(off):
+                sums.put(0, fma(off, off, sums[0]))
+
+        _for_equations(tree, time, one)
+        return sums[0]
+
+    def _size(self, tree: MemoryTree, first: Index, length: Lane) -> Lane:
+        """Square of the size of a motion of all nodes, m or m/s; turns are multiplied by `length`.
+
+        first : row of the first of its numbers, one for each freedom.
+        """
+        sums = tree.section(at.SUMS_ROW)
+        sums.put(0, 0.0)
+
+        def one(node: MemoryNode) -> None:
+            rows = tree.rows(first + node.entry(at.FREEDOM))
+
             def do(kind: Kind) -> None:
-                moving = kind.lifted(node.freedoms(at.STAGE_ROW), kind.pitch(node.constants))
+                moving = kind.lifted(rows, kind.pitch(node.constants))
                 turning = scale(length, moving[:3])
                 total = dot(turning, turning) + dot(moving[3:], moving[3:])
                 if not is_zero(total):
-                    sums.put(2, sums[2] + total)
+                    sums.put(0, sums[0] + total)
 
             node.each_kind(do)
 
-        tree.for_constraints(one)
-        tree.for_nodes(speed)
-        whole = sums[2] + sums[1]
-        return sqrt(sums[0] + sums[1] / where(whole > 0.0, whole, 1.0))
+        tree.for_nodes(one)
+        return sums[0]
+
+
+def _for_equations(tree: MemoryTree, time: Any, do: Callable[[Connected, Row], None]) -> None:
+    def one(constraint: MemoryConstraint) -> None:
+        def each(kind: ConstraintKind) -> None:
+            connected = constraint.connected(kind, time)
+            for r in kind.rows:
+                do(connected, r)
+
+        constraint.each_kind(each)
+
+    tree.for_constraints(one)
 
 
 def _shared(tree: MemoryTree, u: Any, moved: Any, pair: list[Index]) -> Lane:

@@ -14,9 +14,10 @@ from lierb.kernels.numbers.zero import ZERO, is_zero
 from lierb.kernels.systems import tree_places as at
 from lierb.kernels.systems.combine import NAN, summed, weighted
 from lierb.kernels.systems.plan import ElementKind
-from lierb.kernels.systems.state import Factors, Rates, Slopes, Stabilised, State, Units, Weights
+from lierb.kernels.systems.state import Factors, Rates, Slopes, State, Units, Weights
 from lierb.kernels.systems.tree_loop_rows import LoopRows
 from lierb.kernels.systems.tree_memory import LoopBody, MemoryElement, MemoryNode, MemoryTree
+from lierb.kernels.systems.tree_table import slopes_of
 from lierb.kernels.tracing.arrays import Index
 from lierb.kernels.tracing.lanes import Lane
 from lierb.kernels.tracing.memory import Rows, for_each, if_not_zero
@@ -69,23 +70,28 @@ class LoopSteps(LoopRows):
         return Rates((), (), power, sums[at.SINGULAR] if self.plan.constraint_kinds else ZERO)
 
     def _rates(self, tree: MemoryTree, ahead: Index, time: Any, *scales: Lane) -> None:
-        def accelerate(node: MemoryNode) -> None:
-            constants, above, here = node.constants, node.above, node.motion
-            into = node.slopes(at.V_SLOPES, ahead)
-            node.each_kind(
-                lambda kind: into.put(0, *tree_nodes.accelerate(kind, constants, above, here))
-            )
-
         self._load(tree, ahead, time)
         if scales:
             self._constrain(tree, time, *scales)
-        tree.for_nodes(accelerate)
+        self._accelerate(tree, ahead)
 
     def _load(self, tree: MemoryTree, ahead: Index, time: Any) -> None:
         """Store motions, loads and articulated inertias."""
         acts = bool(self.plan.element_kinds)
 
-        def gather(node: MemoryNode) -> None:
+        self._call_place(tree, ahead, is_whole=acts or bool(self.plan.constraint_kinds))
+        if self.plan.does_work:
+            tree.section(at.SUMS_ROW).put(at.POWER, 0.0)
+        if acts:
+            loads = tree.section(at.LOADS_ROW)
+            for_each(tree[at.NODES] * 6 + 6, lambda i: loads.put(i, 0.0))
+            tree.for_elements(lambda element: self._act(element, time))
+        self._gather(tree, acts)
+
+    def _gather(self, tree: MemoryTree, acts: bool) -> None:
+        """Store articulated inertias, and ν̇ by loads alone.   acts : whether elements act."""
+
+        def one(node: MemoryNode) -> None:
             constants, here = node.constants, node.motion
             own, children = (tree.rows(node.entry(name)) for name in (at.PASSES, at.CHILDREN))
 
@@ -107,23 +113,34 @@ class LoopSteps(LoopRows):
 
             if_not_zero(sibling, add)
 
-        self._call_place(tree, ahead, is_whole=acts or bool(self.plan.constraint_kinds))
-        if self.plan.does_work:
-            tree.section(at.SUMS_ROW).put(at.POWER, 0.0)
-        if acts:
-            loads = tree.section(at.LOADS_ROW)
-            for_each(tree[at.NODES] * 6 + 6, lambda i: loads.put(i, 0.0))
-            tree.for_elements(lambda element: self._act(element, time))
-        tree.for_nodes(gather, backward=True)
+        tree.for_nodes(one, backward=True)
 
-    def _call_place(self, tree: MemoryTree, ahead: Index, is_whole: bool) -> None:
-        """Emit a call of the outward pass at X and V of the stage, which stores Ẋ."""
-        whole = tree.index(int(is_whole))
-        self._run("place", tree, self._place, ahead, whole)
+    def _accelerate(self, tree: MemoryTree, ahead: Index) -> None:
+        """Store ν̇ in the slopes."""
 
-    def _place(self, tree: MemoryTree, ahead: Index, whole: Index) -> None:
         def one(node: MemoryNode) -> None:
-            parts = (node.constants, node.chart, node.freedoms(at.X_ROW))
+            constants, above, here = node.constants, node.above, node.motion
+            into = node.slopes(at.V_SLOPES, ahead)
+            node.each_kind(
+                lambda kind: into.put(0, *tree_nodes.accelerate(kind, constants, above, here))
+            )
+
+        tree.for_nodes(one)
+
+    def _call_place(
+        self, tree: MemoryTree, ahead: Index, is_whole: bool, of_next: bool = False
+    ) -> None:
+        """Emit a call of the outward pass at X and V of the stage, which stores Ẋ.
+
+        of_next : whether to begin at the charts to which a step leads.
+        """
+        whole, behind = tree.index(int(is_whole)), tree[at.AHEAD] if of_next else tree.index(0)
+        self._run("place", tree, self._place, ahead, whole, behind)
+
+    def _place(self, tree: MemoryTree, ahead: Index, whole: Index, behind: Index) -> None:
+        def one(node: MemoryNode) -> None:
+            chart = tree.rows(node.entry(at.CHART) + behind)
+            parts = (node.constants, chart, node.freedoms(at.X_ROW))
             v, into = node.freedoms(at.STAGE_ROW), node.slopes(at.X_SLOPES, ahead)
             above, here = node.above, node.motion
 
@@ -156,6 +173,8 @@ class LoopSteps(LoopRows):
         """Make the stage the state."""
         tree = self._tree(body)
         total = tree.section(at.SUMS_ROW)
+        if self.projects:
+            total.put(at.SPEED, self._size(tree, tree[at.V_ROW], body.length))
         total.put(0, 0.0)
 
         def one(node: MemoryNode) -> None:
@@ -249,10 +268,19 @@ class LoopSteps(LoopRows):
 
         tree.for_nodes(one)
 
-    def stabilised(
-        self, body: LoopBody, before: State, state: State, time: Any, h: Any
-    ) -> Stabilised:
-        return Stabilised(state)
+    def _spare(self, tree: MemoryTree) -> Index:
+        """Rows of all slopes of a step, behind which those of a state at rest are."""
+        return tree[at.FREEDOMS] * slopes_of(self.plan)
+
+    def _stay(self, tree: MemoryTree) -> None:
+        """Make the state the stage."""
+        x, v, stage = (tree.section(name) for name in (at.X_ROW, at.V_ROW, at.STAGE_ROW))
+
+        def copy(i: Index) -> None:
+            x.put(i, 0.0)
+            stage.put(i, v[i])
+
+        for_each(tree[at.FREEDOMS], copy)
 
     def turns_and_places(self, chart: Any) -> tuple[Vec, Vec]:
         return (), ()

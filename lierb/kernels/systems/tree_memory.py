@@ -292,6 +292,11 @@ class TreeInMemory(PassiveElements):
     takes_small_angle_steps = False
     rows = ()
 
+    @property
+    def projects(self) -> bool:
+        """True if each step ends with a projection onto the constraints."""
+        return self.plan.stabilisation.kind == "project" and bool(self.plan.constraint_kinds)
+
     def _tree(self, body: LoopBody) -> MemoryTree:
         return MemoryTree(self.plan, body.table, body.memory)
 

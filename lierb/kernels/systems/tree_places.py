@@ -27,9 +27,11 @@ from lierb.kernels.systems.measures import JOINT_ERRORS
     # Numbers and places of constraints, of their equations, and of pairs of constraints on one path;
     CONSTRAINTS, CONSTRAINT_TABLE, EQUATIONS, EQUATION_TABLE, PAIRS, PAIR_TABLE,
     # first rows of their constants; of u and of (SᵀIS)⁻¹u of the equations; of two wrenches for each
-    # equation of a constraint; of S, L and L D of S = L D Lᵀ; of vectors of all equations.
-    CONSTRAINT_ROWS, LEFT_ROW, WALK_ROW, SCHUR_ROW, LOWER_ROW, SCALED_ROW, VECTOR_ROWS, HEADER,
-) = range(48)  # fmt: skip
+    # equation of a constraint; of S, L and L D of S = L D Lᵀ; of vectors of all equations; of X by
+    # which a projection moves.
+    CONSTRAINT_ROWS, LEFT_ROW, WALK_ROW, SCHUR_ROW, LOWER_ROW, SCALED_ROW, VECTOR_ROWS, OFF_ROW,
+    HEADER,
+) = range(49)  # fmt: skip
 # A node's numbers: its kind and that of its joint; its role, and the first node of its joint; its
 # parent; rows of its chart; its first freedom; rows of what it passes on, of what its children pass
 # on, and of what its next sibling passes on, or 0; its link, or that of the next node for a
@@ -59,7 +61,7 @@ ON_AFTER, ON_BEFORE, STRETCH = 0, 1, 3
 # rows, λ by both tolerances, prescribed rates.
 EXCESS, MOBILITY, INVERSE, REDUCED, IS_DEPENDENT, MULTIPLIERS, SECOND, RATE, VECTORS = range(9)
 # Rows of sums over all nodes: energy, orthogonality error, largest errors of the joints, power;
-# then 1 where rows contradict each other, and numbers of dependent rows by the tolerance of
-# rounding, and by that of open rows where it is needed.
+# then 1 where rows contradict each other; numbers of dependent rows by the tolerance of rounding,
+# and by that of open rows where it is needed; the square of a speed, see `LoopProjection`.
 ENERGY, ORTHOGONALITY, ERRORS, POWER = 0, 1, 2, 2 + len(JOINT_ERRORS)
-SINGULAR, DEPENDENT, DROPPED, SUMS = range(POWER + 1, POWER + 5)
+SINGULAR, DEPENDENT, DROPPED, SPEED, SUMS = range(POWER + 1, POWER + 6)

@@ -62,7 +62,7 @@ def table_of(plan: MechanismPlan) -> tuple[NDArray[np.int64], int]:
         at.ERRORS_ROW: len(JOINT_ERRORS) * errors, at.SUMS_ROW: at.SUMS,
         at.LOADS_ROW: 6 * (count + 1), at.WRENCH_ROW: 6 * (count + 1 + plan.loops),
         at.ELEMENT_ROWS: sum(element_rows(k) for k in plan.element_kinds if not k.element.rows),
-        **constraints.sizes, at.AHEAD: ahead, at.COPY_ROW: ahead,
+        **constraints.sizes, at.OFF_ROW: freedoms * bool(plan.constraints), at.AHEAD: ahead, at.COPY_ROW: ahead,
     }  # fmt: skip
     end = 0
     for name, size in sizes.items():

@@ -139,7 +139,6 @@ def why_unrolled(plan: MechanismPlan) -> str:
         and any(e.bounds_steps or e.discontinuities for e in plan.elements),
         f'update="{plan.update}"': plan.update != "local",
         "a commutator-free method": bool(plan.exponentials),
-        "projection": plan.stabilisation.kind == "project",
     }
     return next((reason for reason, applies in reasons.items() if applies), "")
 
