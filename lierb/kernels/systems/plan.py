@@ -219,6 +219,7 @@ class MechanismPlan(AnyPlan):
     connections : the joint of each link, in order; then the joint of each loop; then one connection
         for each element.   loops : number of loops.
     joint_kinds : kinds of joints of the code, if it loops over nodes; none if it is unrolled.
+    usual_constraints : kinds of constraints that looped code has beside those of the mechanism.
     """
 
     tree: tuple[Node, ...]
@@ -226,6 +227,7 @@ class MechanismPlan(AnyPlan):
     loops: int
     stabilisation: Stabilisation = UNSTABILISED
     joint_kinds: tuple[JointKind, ...] = ()
+    usual_constraints: tuple[ConstraintKind, ...] = ()
 
     __hash__ = AnyPlan.__hash__
 
@@ -236,13 +238,13 @@ class MechanismPlan(AnyPlan):
         common = {field.name: getattr(self, field.name) for field in fields(AnyPlan)}
         kinds = tuple(dict.fromkeys(self.element_kinds))
         common["elements"] = tuple(dict.fromkeys(kind.element for kind in kinds))
-        constraints = dict.fromkeys(kind for _, kind in self.constraints)
+        constraints = {kind for _, kind in self.constraints} | {*self.usual_constraints}
         return LoopPlan(
             **common,
             kinds=self.kinds,
             joint_kinds=self.joint_kinds,
             element_kinds=tuple(kind for kind in kinds if not kind.element.rows),
-            constraint_kinds=tuple(constraints),
+            constraint_kinds=tuple(sorted(constraints, key=repr)),
             stabilisation=self.stabilisation,
         )
 
@@ -257,7 +259,7 @@ class MechanismPlan(AnyPlan):
 
     @cached_property
     def constraints(self) -> tuple[tuple[int, ConstraintKind], ...]:
-        """Connections with rows, except the joints of links: their index, and their kind."""
+        """Connections with rows, except joints of links: their index, and their kind."""
         loops = range(self.links, self.links + self.loops)
         pairs = [(number, ConstraintKind(self.connections[number].rows)) for number in loops]
         for number, kind in enumerate(self.element_kinds, loops.stop):

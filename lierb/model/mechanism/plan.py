@@ -15,7 +15,7 @@ from lierb.kernels.mechanics.rows import FIXED
 from lierb.kernels.mechanics.subgroup import Slots, slots_of
 from lierb.kernels.mechanics.tree import FREE, GROUND, MASSLESS, NONE, Connection, Node
 from lierb.kernels.mechanics.tree_nodes import JointKind, Kind
-from lierb.kernels.systems.plan import MechanismPlan, Stabilisation
+from lierb.kernels.systems.plan import ConstraintKind, MechanismPlan, Stabilisation
 from lierb.kernels.systems.tree_table import joint_kind_of
 from lierb.kernels.tracing.cpu import DEFAULT_LANES
 from lierb.model.connections import NOWHERE
@@ -25,6 +25,8 @@ from lierb.model.joints.joint_type import JOINTS
 from lierb.model.mechanism.tree import Tree
 
 CSPACES = ("reduced", "SE3", "SO3xR3")
+# Joints of loops in all looped code with loops, which compiles 0.8 s longer.
+USUAL_LOOPS = ("revolute", "cylindrical", "spherical", "universal", "fixed")
 UNROLLED_NODES = 7  # with more, loops over the nodes are as fast as unrolled code, or faster
 
 
@@ -150,7 +152,9 @@ def looped(plan: MechanismPlan) -> MechanismPlan:
             f'solver="looped" does not support {reason}; leave solver out, for unrolled code'
         )
     own = (joint_kind_of(plan, i) for i in range(len(plan.tree)))
-    return replace(plan, joint_kinds=tuple(dict.fromkeys((*_catalogue(), *own))))
+    usual = tuple(ConstraintKind(JOINTS[name].rows) for name in USUAL_LOOPS if plan.loops)
+    kinds = tuple(dict.fromkeys((*_catalogue(), *own)))
+    return replace(plan, joint_kinds=kinds, usual_constraints=usual)
 
 
 @cache
