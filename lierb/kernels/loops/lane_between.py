@@ -192,8 +192,14 @@ def ended_between(
     return Ending(state, lanes._replace(clock=clock), code)
 
 
+def ends_between(plan: AnyPlan, rows: Any) -> Any:
+    """Return 1 where the step ends at a terminal event."""
+    last = row_of(plan, rows, ws.LAST)
+    return where(last <= 1.0, 1.0, 0.0 * last)
+
+
 for _formula in (
-    slopes_between, state_between, time_between, is_due_between, select_due_between, shown_between,
+    ends_between, slopes_between, state_between, time_between, is_due_between, select_due_between, shown_between,
     with_record, put_values, put_roundings, parts_of, next_part, ends_step, in_step, put_part,
     ended_between,
 ):  # fmt: skip

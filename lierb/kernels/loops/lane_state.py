@@ -197,7 +197,9 @@ def put_shown(
 ) -> None:
     """Store the quantities of a state that tables show."""
     if plan.is_looped:
-        in_memory(plan).put_links(body, shown, lanes.record.status == OK)
+        first = in_memory(plan).put_links(body, shown, lanes.record.status == OK)
+        for i, number in enumerate((*state.states, *lanes.control.controls)):
+            put_row(plan, shown, first + i, number)
         return
     links = user_state(plan, body, inputs, state, lanes.record)
     put_rows(plan, shown, 0, (*links, state.states, lanes.control.controls))

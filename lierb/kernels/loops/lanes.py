@@ -146,7 +146,8 @@ def _look_between(
     values, state, moved = histories_at(own.values), lanes.state, made.state
     flags = lane_state.suppress_exceptions(plan, accepted)
     ranked = with_rank(plan, seen, lanes.record)
-    copy_next(plan, body)
+    everywhere = select(accepted, accepted, 1.0)
+    copy_next(plan, body, everywhere)
     slopes = inner.slopes_between(plan, ranked, state, made, trial)
     part = inner.parts_of(plan, seen, state, moved, trial, accepted)
     begins, task, turn = own.watched > 0, search.SAVE, 0
@@ -173,27 +174,34 @@ def _look_between(
         is_end = task == search.SAMPLE and turn == ws.SAMPLES
         if is_end and inner.ends_step(part):
             there, time = moved, trial.end
+            restore_next(plan, body, everywhere)
         else:
             there = inner.state_between(plan, ranked, state, slopes, trial, theta)
             if is_end:
                 there = select(part.is_last, moved, there)
                 time = select(part.is_last, trial.end, time)
+                restore_next(plan, body, part.is_last)
         if task == search.SAMPLE or task == search.DIP or task == search.ROOT:
             sample = turn if task == search.SAMPLE else AT_THETA
+            exchange(plan, body)
             inner.put_values(plan, seen, there, lanes.control, time, values, sample)
+            exchange(plan, body)
             if task != search.SAMPLE:
                 kind = search.NARROW if task == search.ROOT else search.NOTE_DIP
                 _request(job.watch, kind, inputs, counter, jobs)
         elif task == search.NOTE:
+            exchange(plan, body)
             lane_state.put_shown(plan, body, inputs, there, lanes, numbers_at(own.shown))
+            exchange(plan, body)
             _request(job.watch, search.NOTE_EVENTS, inputs, counter, jobs)
         elif task == search.END:
             moved, lanes, termination = inner.ended_between(
                 plan, rows, there, moved, trial, part, lanes, termination
             )
+            copy_next(plan, body, inner.ends_between(plan, rows))
         else:
             lanes = _save_between(plan, body, inputs, counter, jobs, lanes, there)
-    restore_next(plan, body)
+    restore_next(plan, body, everywhere)
     lane_state.restore_exceptions(plan, flags, accepted)
     return moved, lanes, termination
 

@@ -242,7 +242,7 @@ def store_end(
     first: Any = 0
     going_on: list[Any] = []
     if plan.is_looped:
-        in_memory(plan).store_end(body, ends, column)
+        in_memory(plan).store_end(body, state, ends, column)
         first = in_memory(plan).end_columns(body)
     else:
         numbers = [*flatten(state)]
@@ -410,15 +410,16 @@ def exchange(plan: AnyPlan, body: Any) -> None:
         in_memory(plan).exchange(body)
 
 
-def copy_next(plan: AnyPlan, body: Any) -> None:
-    """Copy the next state, for `restore_next`."""
+def copy_next(plan: AnyPlan, body: Any, mask: Any) -> None:
+    """Copy the next state where the mask is 1, for `restore_next`."""
     if plan.is_looped:
-        in_memory(plan).copy_next(body)
+        in_memory(plan).copy_next(body, mask)
 
 
-def restore_next(plan: AnyPlan, body: Any) -> None:
+def restore_next(plan: AnyPlan, body: Any, mask: Any) -> None:
+    """Make the copy the next state where the mask is 1."""
     if plan.is_looped:
-        in_memory(plan).copy_next(body, is_back=True)
+        in_memory(plan).copy_next(body, mask, is_back=True)
 
 
 def without_measures(plan: AnyPlan, record: Record, seen: Record) -> Record:

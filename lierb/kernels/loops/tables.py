@@ -13,6 +13,7 @@ from lierb.kernels.systems.layout import POSE_AND_TWIST
 from lierb.kernels.systems.measures import KEPT, SUMMARY
 from lierb.kernels.systems.observables import columns_of
 from lierb.kernels.systems.plan import AnyPlan
+from lierb.kernels.systems.signals import signals_width
 from lierb.kernels.systems.state import OK, State
 from lierb.kernels.systems.system_of import in_memory, system_of
 from lierb.kernels.tracing.trace import kernel
@@ -76,11 +77,19 @@ def store_row(
     def put(array: Any, axis: int, places: list[tuple[Any, ...]], numbers: Vec) -> None:
         scatter(array, axis, places, where(alive, numbers, (NAN,) * len(numbers)), plan.lanes)
 
-    put(tables.history, 2, [(c, at.row, at.column) for c in range(len(shown))], tuple(shown))
-    for c in range(len(shown)):
+    def put_history(first: Any, numbers: Vec) -> None:
+        if numbers:
+            places = [(first + c, at.row, at.column) for c in range(len(numbers))]
+            put(tables.history, 2, places, tuple(numbers))
+
+    behind = signals_width(plan) * plan.has_lane_clocks if plan.is_looped else 0
+    head = len(shown) - behind
+    put_history(0, shown[:head])
+    for c in range(head):
         prefetch(tables.history, (c, at.row + 1, at.column), plan.lanes)
     if plan.is_looped:
-        in_memory(plan).store_errors(body, tables.history, len(shown), at.row, at.column, alive)
+        place = tables.history, head, at.row, at.column
+        put_history(in_memory(plan).store_errors(body, *place, alive), shown[head:])
     if not (plan.multipliers or plan.reaction):
         return
     body = with_rank(plan, body, record)
@@ -137,7 +146,7 @@ def store_summary(plan: AnyPlan, body: Any, record: Record, summary: Any, column
     places = [*range(len(numbers)), *(SUMMARY.count + c for c in range(len(watched)))]
     scatter(summary, 1, [(c, column) for c in places], (*numbers, *watched), plan.lanes)
     if plan.is_looped:
-        in_memory(plan).store_kept(body, summary, SUMMARY.count, column)
+        in_memory(plan).store_kept(body, summary, SUMMARY.count + len(watched), column)
 
 
 def store_start(

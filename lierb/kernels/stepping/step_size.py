@@ -25,6 +25,7 @@ from lierb.kernels.numbers.vec import Vec, dot
 from lierb.kernels.numbers.zero import ZERO, is_zero
 from lierb.kernels.stepping.method import Defect
 from lierb.kernels.stepping.runge_kutta import method_of
+from lierb.kernels.systems.combine import weighted
 from lierb.kernels.systems.extra_states import in_states
 from lierb.kernels.systems.plan import AnyPlan
 from lierb.kernels.systems.signals import events_of
@@ -93,7 +94,8 @@ def longest_step(plan: AnyPlan, body: Any, state: State, moved: State, time: Any
     if not (events_of(plan) or any(element.bounds_steps for element in plan.elements)):
         return None
     system = system_of(plan)
-    start, end = (system.motion(body, each, time) for each in (state, moved))
+    start = system.motion(body, state, time)
+    end = system.motion(body, moved, time, is_next=moved is not state)
     least = maximum(LEAST_OF_STEP * h, 4.0 * LEAST_ULPS * EPS * absolute(time))
     longest: Any = INF
     for watched, parts in ((False, 1.0), (True, float(MOST_PARTS))):
@@ -108,7 +110,8 @@ def longest_step(plan: AnyPlan, body: Any, state: State, moved: State, time: Any
 def parts_to_watch(plan: AnyPlan, body: Any, state: State, moved: State, trial: Any) -> Any:
     """Return the number of equal parts of a step that are searched for events one by one."""
     system = system_of(plan)
-    start, end = (system.motion(body, each, trial.start) for each in (state, moved))
+    start = system.motion(body, state, trial.start)
+    end = system.motion(body, moved, trial.start, is_next=True)
     fastest: Any = 0.0 * trial.h
     for at in (start, end):
         for rate, distance in system.travel(body, start, at, trial.start, watched=True):
@@ -143,7 +146,9 @@ def _estimates(plan: AnyPlan, body: Any, slopes: Slopes, h: Any, scales: _Scales
     assert plan.embedded is not None
     for row in plan.embedded.weights:
         weights = {j: h * weight for j, weight in enumerate(row) if weight != 0.0}
-        yield _largest_of(body, in_memory(plan).slope_squares(body, weights), (), scales)
+        squares = in_memory(plan).slope_squares(body, weights)
+        states = weighted((ZERO,) * len(slopes.states[0]), row, slopes.states, h)
+        yield _largest_of(body, squares, _squares_of(plan, states), scales)
 
 
 def _is_rough(plan: AnyPlan, body: Any, state: State, moved: State, slopes: Slopes, h: Any) -> Any:
@@ -152,6 +157,8 @@ def _is_rough(plan: AnyPlan, body: Any, state: State, moved: State, slopes: Slop
     A stage far inside a stiff stop moves the next stages out of it. Methods of high order have zero
     weights for their first stages; the stop then affects neither the step nor its error estimate.
     """
+    if plan.is_looped:
+        return in_memory(plan).is_rough(body, len(slopes.x), h, ROUGH, THROW)
     velocity = system_of(plan).velocity
     before, after = (velocity(body, each.v_or_mu) for each in (state, moved))
     first, *rest = slopes.v_or_mu
@@ -190,7 +197,7 @@ def squared_correction(
     scales = _scales(plan, body, state, kept.state, limits._replace(rtol=rtol), h)
     states = (ZERO,) * len(state.states)
     if plan.is_looped:  # squares
-        return _largest_of(body, (*kept.x, *kept.v_or_mu), states, scales)
+        return _largest_of(body, (*kept.x, *kept.v_or_mu), _squares_of(plan, states), scales)
     turning, moving = (_parts(kept.x, first) for first in (0, 3))
     return _largest(plan, body, Defect(turning, moving, kept.v_or_mu, states), scales)
 
@@ -252,11 +259,11 @@ def _sizes(
     is_next : whether the state is the end of a step, for a looped plan.
     """
     if plan.is_looped:
-        return *in_memory(plan).sizes(body, is_next), ()
+        return *in_memory(plan).sizes(body, is_next), _squares_of(plan, state.states)
     system = system_of(plan)
     place = system.places(state.chart)
     twist = system.velocity(body, state.v_or_mu)
-    states = tuple(dot(part, part) for part in in_states(plan, state.states))
+    states = _squares_of(plan, state.states)
     return dot(place, place), _squares(twist, 0), _squares(twist, 3), states
 
 
@@ -277,8 +284,12 @@ def _largest(plan: AnyPlan, body: Any, defect: Defect, scales: _Scales) -> Any:
         dot(defect.turning, defect.turning), dot(defect.moving, defect.moving),
         _squares(defect.twist, 0), _squares(defect.twist, 3),
     )  # fmt: skip
-    states = tuple(dot(part, part) for part in in_states(plan, defect.states))
-    return _largest_of(body, squares, states, scales)
+    return _largest_of(body, squares, _squares_of(plan, defect.states), scales)
+
+
+def _squares_of(plan: AnyPlan, states: Vec) -> Vec:
+    """Return ‖·‖² of each extra state."""
+    return tuple(dot(part, part) for part in in_states(plan, states))
 
 
 def _largest_of(body: Any, squares: Vec, states: Vec, scales: _Scales) -> Any:
@@ -389,7 +400,8 @@ def _rate_against(
     stages : weights of the stages whose sum the rates are, for a looped plan.
     """
     if plan.is_looped:
-        return _largest_of(body, in_memory(plan).slope_squares(body, stages), (), scales)
+        squares, states = in_memory(plan).slope_squares(body, stages), _squares_of(plan, rates.states)
+        return _largest_of(body, squares, states, scales)
     system = system_of(plan)
     twist = system.velocity(body, rates.v_or_mu)
     defect = Defect(*system.turning_and_moving(rates.x), twist, rates.states)

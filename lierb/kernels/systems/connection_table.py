@@ -27,6 +27,7 @@ from lierb.kernels.systems.tree_inputs import inputs_of, placed_on
 
 # Rows of a constraint: two frames, pitch and length, mobilities of both nodes, and parameters.
 INNER, OUTER, PITCH, SIZE, EASY, PLACED = 0, 12, 24, 25, 26, 34
+TRAVEL = 18  # rows of a motion between two nodes: Q, d, ω, v
 
 
 def element_rows(kind: ElementKind) -> int:
@@ -49,13 +50,20 @@ def placed_shape(kind: ElementKind) -> Any:
     return placed_on(kind.element, given, 0.7, frame[0], frame[1], frame, frame, ground)
 
 
-def elements_of(plan: MechanismPlan, row: int) -> NDArray[np.int64]:
-    """Table of the elements without rows.   row : the first of their rows."""
-    table, kinds = [], _code(plan).element_kinds
+def elements_of(plan: MechanismPlan) -> tuple[NDArray[np.int64], int]:
+    """Table of the elements that act without rows, and the number of their rows of memory."""
+    table, kinds, row = [], _code(plan).element_kinds, 0
     for k, kind in enumerate(plan.element_kinds):
-        if not kind.element.rows:
+        if not (kind.element.rows or kind.element.is_passive):
             table.append((kinds.index(kind), *_connection(plan, len(plan.joints) + k), row))
             row += element_rows(kind)
+    return np.array(table, np.int64).reshape(-1, at.ELEMENT), row
+
+
+def listed_of(plan: MechanismPlan) -> NDArray[np.int64]:
+    """Table of the elements that the code has one by one, without kinds and rows."""
+    first = len(plan.joints)
+    table = [(0, *_connection(plan, first + k), 0) for k in plan.listed]
     return np.array(table, np.int64).reshape(-1, at.ELEMENT)
 
 

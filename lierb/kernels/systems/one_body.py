@@ -262,7 +262,9 @@ class OneBody(StateArithmetic):
     def kinetic_energy(self, body: BodyConstants, v_or_mu: Vec) -> Any:
         return self.plan.space.kinetic_energy(body, v_or_mu)
 
-    def motion(self, body: BodyConstants, state: State, time: Any) -> BodyMotion:
+    def motion(
+        self, body: BodyConstants, state: State, time: Any, is_next: bool = False
+    ) -> BodyMotion:
         pose = quaternion.pose(self.chart_of(state))
         return BodyMotion(pose, self.velocity(body, state.v_or_mu))
 

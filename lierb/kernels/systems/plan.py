@@ -190,11 +190,15 @@ class LoopPlan(AnyPlan):
     """Compiled integrator of any tree whose nodes, joints and elements have these kinds.
 
     `lierb.kernels.systems.tree_table` describes the tree at run time.
+
+    elements : one of each kind that acts, then all passive ones.
+    listed_kinds : kinds of the elements that the code has one by one; see `MechanismPlan.listed`.
     """
 
     kinds: tuple[Kind, ...]
     joint_kinds: tuple[JointKind, ...]
     element_kinds: tuple[ElementKind, ...] = ()
+    listed_kinds: tuple[ElementKind, ...] = ()
     constraint_kinds: tuple[ConstraintKind, ...] = ()
     stabilisation: Stabilisation = UNSTABILISED
 
@@ -237,13 +241,16 @@ class MechanismPlan(AnyPlan):
             return self
         common = {field.name: getattr(self, field.name) for field in fields(AnyPlan)}
         kinds = tuple(dict.fromkeys(self.element_kinds))
-        common["elements"] = tuple(dict.fromkeys(kind.element for kind in kinds))
+        acting = tuple(k for k in kinds if not k.element.is_passive)
+        passive = (element for element in self.elements if element.is_passive)
+        common["elements"] = (*dict.fromkeys(kind.element for kind in acting), *passive)
         constraints = {kind for _, kind in self.constraints} | {*self.usual_constraints}
         return LoopPlan(
             **common,
             kinds=self.kinds,
             joint_kinds=self.joint_kinds,
-            element_kinds=tuple(kind for kind in kinds if not kind.element.rows),
+            element_kinds=tuple(kind for kind in acting if not kind.element.rows),
+            listed_kinds=tuple(self.element_kinds[k] for k in self.listed),
             constraint_kinds=tuple(sorted(constraints, key=repr)),
             stabilisation=self.stabilisation,
         )
@@ -256,6 +263,14 @@ class MechanismPlan(AnyPlan):
             ElementKind(element, at.other == GROUND, at.joint >= 0, at.joint >= self.links)
             for element, at in zip(self.elements, places, strict=True)
         )
+
+    @cached_property
+    def listed(self) -> tuple[int, ...]:
+        """Indices of elements that looped code lists one by one: passive ones, then those that
+        may jump.
+        """
+        passive = [k for k, e in enumerate(self.elements) if e.is_passive]
+        return (*passive, *(k for k, e in enumerate(self.elements) if e.discontinuities))
 
     @cached_property
     def constraints(self) -> tuple[tuple[int, ConstraintKind], ...]:

@@ -159,8 +159,11 @@ class System(Protocol[Body, Motion]):
 
     # ---- measures ----
 
-    def motion(self, body: Body, state: State, time: Any) -> Motion:
-        """Poses and velocities, from which measures, elements and events are computed."""
+    def motion(self, body: Body, state: State, time: Any, is_next: bool = False) -> Motion:
+        """Poses and velocities, from which measures, elements and events are computed.
+
+        is_next : whether the state is the end of a step, if states are in memory.
+        """
 
     def dropped(self, body: Body, state: State) -> Any:
         """Number of rows that depend on others."""

@@ -158,7 +158,9 @@ class TreeCharts(StateArithmetic):
             for node, constants, each in zip(self.plan.tree, body.nodes, chart, strict=True)
         )
 
-    def motion(self, body: TreeConstants, state: State, time: Any) -> TreeMotion:
+    def motion(
+        self, body: TreeConstants, state: State, time: Any, is_next: bool = False
+    ) -> TreeMotion:
         chart = state.chart if self.plan.is_local else self.moved(state.chart, state.x)
         return self.motion_at(body, chart, state.v_or_mu, time)
 

@@ -34,8 +34,11 @@ class TreeLoop(LoopForces):
 
     def store_errors(
         self, body: LoopBody, history: Any, first: int, row: Any, column: Any, alive: Any
-    ) -> None:
-        """Store JOINT_ERRORS of every joint in a history, from column `first` on."""
+    ) -> Index:
+        """Store JOINT_ERRORS of every joint in a history, from column `first` on.
+
+        Return the column behind them.
+        """
         tree, count = self._tree(body), len(JOINT_ERRORS)
 
         def one(link: Index) -> None:
@@ -46,6 +49,7 @@ class TreeLoop(LoopForces):
             scatter(history, 2, places, errors, self.plan.lanes)
 
         for_each(tree[at.JOINTS], one)
+        return tree[at.JOINTS] * count + first
 
     def store_kept(self, body: LoopBody, summary: Any, first: int, column: Any) -> None:
         """Store JOINT_KEPT of every joint in a summary, from column `first` on."""
@@ -62,8 +66,8 @@ class TreeLoop(LoopForces):
         self, body: LoopBody, states: tuple[Any, ...], row: Any, rows: Any, column: Any, alive: Any
     ) -> None:
         """Store R, r, ω and v of every link in the user's frames; NaN where not alive."""
-        self.motion(body, State((), (), ()), ZERO)
         tree = self._tree(body)
+        self._see(tree, is_next=False)
 
         def link(node: MemoryNode) -> None:
             numbers = tree_nodes.in_user_frame(node.details, node.motion)
@@ -75,10 +79,12 @@ class TreeLoop(LoopForces):
 
         tree.for_links(link)
 
-    def put_links(self, body: LoopBody, shown: Any, alive: Any) -> None:
-        """Store the numbers of `store_links` in the rows of a lane's workspace."""
-        self.motion(body, State((), (), ()), ZERO)
+    def put_links(self, body: LoopBody, shown: Any, alive: Any) -> Index:
+        """Store the numbers of `store_links` in the rows of a lane's workspace; return the row
+        behind them.
+        """
         tree, width = self._tree(body), POSE_AND_TWIST.count
+        self._see(tree, is_next=False)
 
         def link(node: MemoryNode) -> None:
             numbers = tree_nodes.in_user_frame(node.details, node.motion)
@@ -87,9 +93,10 @@ class TreeLoop(LoopForces):
                 store(shown, (first + c, 0), where(alive, x, NAN), self.plan.lanes)
 
         tree.for_links(link)
+        return tree[at.LINKS] * width
 
-    def store_end(self, body: LoopBody, ends: Any, column: Any) -> None:
-        """Store the state for a run that continues: numbers of the charts, then of V_rel."""
+    def store_end(self, body: LoopBody, state: State, ends: Any, column: Any) -> None:
+        """Store the state for a run that continues: charts, V_rel, extra states."""
         tree = self._tree(body)
 
         def put(first: Index, numbers: Any) -> None:
@@ -109,6 +116,7 @@ class TreeLoop(LoopForces):
             node.each_kind(do)
 
         tree.for_nodes(one)
+        put(tree[at.END_COLUMNS] + -len(state.states), state.states)
 
     def end_columns(self, body: LoopBody) -> Index:
         """Number of a state's columns at the end of a run."""

@@ -31,7 +31,7 @@ class LoopForces(LoopMeasures):
         """
         tree = self._tree(body)
         self._stay(tree)
-        self._run("rates", body, self._rates, self._spare(tree), time, *self._scales(body))
+        self._call_rates(body, self._spare(tree), time)
         self._store_wrenches(tree, time)
 
         def put(array: Any, first: Any, column: Any, numbers: Vec) -> None:

@@ -13,6 +13,7 @@ from lierb.kernels.systems.combine import NAN
 from lierb.kernels.systems.measures import JOINT_ERRORS, JOINT_KEPT, Observed, orthogonality_squared
 from lierb.kernels.systems.plan import ElementKind
 from lierb.kernels.systems.state import State
+from lierb.kernels.systems.tree_loop_motion import LoopMotion
 from lierb.kernels.systems.tree_loop_projection import LoopProjection
 from lierb.kernels.systems.tree_memory import LoopBody, MemoryElement, MemoryNode, MemoryTree
 from lierb.kernels.tracing.arrays import Index
@@ -21,15 +22,6 @@ from lierb.kernels.tracing.memory import for_each
 
 class LoopMeasures(LoopProjection):
     """Motion, energy, errors of the joints."""
-
-    def motion(self, body: LoopBody, state: State, time: Any) -> None:
-        """Store the motion of the nodes at the state."""
-        tree = self._tree(body)
-        self._stay(tree)
-        self._call_place(tree, self._spare(tree), is_whole=True)
-
-    def observed(self, body: LoopBody, motion: None, time: Any) -> tuple[Any, ...]:
-        return ()
 
     def dropped(self, body: LoopBody, state: State) -> Any:
         if not self.plan.constraint_kinds:
@@ -41,12 +33,13 @@ class LoopMeasures(LoopProjection):
 
     def _rank(self, tree: MemoryTree, ahead: Index) -> None:
         """Count the rows that depend on others."""
-        self._load(tree, ahead, ZERO)
+        self._call_place(tree, ahead, is_whole=True)
+        self._gather(tree, acts=False)
         self._ask(tree, ZERO, lambda *_: 0.0)
         self._factor(tree)
 
     def measured(
-        self, body: LoopBody, state: State, motion: None, time: Any, first_energy: Any = ZERO
+        self, body: LoopBody, state: State, motion: LoopMotion, time: Any, first_energy: Any = ZERO
     ) -> Observed:
         """Return every measure; store the errors of the joints."""
         self._run("measure", body, self._measure, *((time,) if self.plan.constraint_kinds else ()))

@@ -40,6 +40,11 @@ class LoopRows(LoopStart):
             return ()
         return 0.0 * body.mass + body.dropped, body.length, body.heavy
 
+    @property
+    def _scaled(self) -> int:
+        """Number of `_scales`."""
+        return 3 if self.plan.constraint_kinds else 0
+
     def _constrain(
         self, tree: MemoryTree, time: Any, dropped: Lane, length: Lane, heavy: Lane
     ) -> None:

@@ -7,6 +7,7 @@ from functools import partial
 from math import prod
 from typing import Any
 
+from lierb.kernels.functions.function import size_of
 from lierb.kernels.groups import se3
 from lierb.kernels.mechanics import subgroup, tree_nodes
 from lierb.kernels.mechanics.spatial import Pose, Rigid, twist_at
@@ -20,6 +21,7 @@ from lierb.kernels.systems.connection_table import EASY, placed_shape
 from lierb.kernels.systems.layout import Columns, pose_of
 from lierb.kernels.systems.measures import JOINT_KEPT
 from lierb.kernels.systems.plan import ConstraintKind, ElementKind
+from lierb.kernels.systems.signals import states_of
 from lierb.kernels.systems.state import State
 from lierb.kernels.systems.tree_inputs import (
     JOINT,
@@ -63,8 +65,8 @@ class LoopStart(TreeInMemory):
         return 1.0
 
     def state_of(self, numbers: Sequence[Any], body: LoopBody | None = None) -> State:
-        v, work = numbers
-        return State((), (), (v,), work if self.plan.does_work else ZERO)
+        v, work, *states = numbers
+        return State((), (), (v,), work if self.plan.does_work else ZERO, tuple(states))
 
     def _numbers(self, inputs: Any, first: Index, count: int) -> Vec:
         """Numbers of some columns of the inputs."""
@@ -109,7 +111,7 @@ class LoopStart(TreeInMemory):
         tree.for_nodes(weigh)
         girth = 0.5 * sums[1] / sums[0]
         mass = first.constants[tree_nodes.MASS]
-        body = LoopBody(tree.table, tree.memory, mass, gravity, girth)
+        body = self._with_elements(tree, LoopBody(tree.table, tree.memory, mass, gravity, girth), numbers)
         if not self.plan.constraint_kinds:
             return body
         tree.for_constraints(lambda constraint: self._load_constraint(constraint, numbers))
@@ -117,11 +119,25 @@ class LoopStart(TreeInMemory):
         tree.for_nodes(partial(_measure_node, sums))
         return body._replace(length=sums[0], heavy=sums[1])
 
+    def _with_elements(self, tree: MemoryTree, body: LoopBody, numbers: Numbers) -> LoopBody:
+        """Return the constants with those of passive elements, and the times of jumps."""
+        placed: list[Any] = []
+        for k, kind in enumerate(self.plan.listed_kinds):
+            *_, found = _placed(tree.listed(k), kind, numbers)
+            placed.append(found)
+        passive = [e for e in self.plan.elements if e.is_passive]
+        others: tuple[Any, ...] = ((),) * (len(self.plan.elements) - len(passive))
+        jumping = zip(self.plan.listed_kinds, placed, strict=True)
+        jumps = (time for kind, own in jumping for time in kind.element.jumps(own))
+        return body._replace(
+            elements=(*others, *placed[: len(passive)]), jumps=tuple(jumps)
+        )
+
     def _load_element(self, element: MemoryElement, numbers: Numbers) -> None:
         def do(kind: ElementKind) -> None:
             inner, outer, placed = _placed(element, kind, numbers)
             frames = (outer, inner) if kind.on_loop else (outer,)
-            element.rows.put(0, *flatten(frames), *placed)
+            element.rows.put(0, *flatten(frames), *_stored(kind, placed))
 
         element.each_kind(do)
 
@@ -131,13 +147,14 @@ class LoopStart(TreeInMemory):
         joint = _joint_of(constraint, numbers)
 
         def do(kind: ConstraintKind) -> None:
-            placed: Sequence[Any] = ()
+            stored: Sequence[Any] = ()
             if kind.element is None:
                 frames = _frames_on(constraint, joint)
             else:
                 *frames, placed = _placed(constraint, kind.element, numbers)
+                stored = _stored(kind.element, placed)
             constraint.rows.put(0, *flatten(tuple(frames)), *joint["pitch"], *joint["length"])
-            constraint.rows.put(EASY, *easy, *placed)
+            constraint.rows.put(EASY, *easy, *stored)
 
         constraint.each_kind(do)
 
@@ -207,7 +224,9 @@ class LoopStart(TreeInMemory):
             node.each_kind(do)
 
         tree.for_nodes(one)
-        return self._begun(body)
+        count = size_of(states_of(self.plan))
+        states = self._numbers(inputs, tree[at.STATES_COLUMN], count)
+        return self._begun(body)._replace(states=states)
 
     def _begun(self, body: LoopBody) -> State:
         if not self.plan.has_lane_clocks:
@@ -242,13 +261,13 @@ class LoopStart(TreeInMemory):
 
         for_each(tree[at.STATE], one)
 
-    def copy_next(self, body: LoopBody, is_back: bool = False) -> None:
-        """Copy the next state, or copy it back."""
+    def copy_next(self, body: LoopBody, mask: Any, is_back: bool = False) -> None:
+        """Copy the next state, or copy it back, where the mask is 1."""
         tree = self._tree(body)
         _, after = self._states(tree)
         pair = after, tree.section(at.COPY_ROW)
         source, target = reversed(pair) if is_back else pair
-        for_each(tree[at.STATE], lambda i: target.put(i, source[i]))
+        for_each(tree[at.STATE], lambda i: target.put(i, where(mask > 0.5, source[i], target[i])))
 
     def _states(self, tree: MemoryTree) -> tuple[Rows, Rows]:
         first = tree[at.CHART_ROW]
@@ -274,8 +293,8 @@ def _frames_on(connection: MemoryConnection, joint: dict[str, Vec]) -> tuple[Pos
 
 def _placed(
     connection: MemoryConnection, kind: ElementKind, numbers: Numbers
-) -> tuple[Pose, Pose, list[Any]]:
-    """Frames between which an element acts, on its nodes, and numbers of its parameters there."""
+) -> tuple[Pose, Pose, Any]:
+    """Frames between which an element acts, on its nodes, and its parameters there."""
     node = connection.node
     frame, other = (tree_nodes.frame_of(x.details) for x in (node, connection.other))
     own, ground, inner, outer = frame, HERE if kind.on_ground else other, HERE, HERE
@@ -291,8 +310,13 @@ def _placed(
         node.constants[tree_nodes.MASS], tree_nodes.com_and_inertia(node.details)
     )  # fmt: skip
     placed = placed_on(kind.element, given, mass, inertia, com, frame, own, ground)
+    return inner, outer, placed
+
+
+def _stored(kind: ElementKind, placed: Any) -> list[Any]:
+    """Numbers of an element's parameters that are in memory."""
     pairs = zip(flatten(placed), flatten(placed_shape(kind)), strict=True)
-    return inner, outer, [x for x, shape in pairs if not is_zero(shape)]
+    return [x for x, shape in pairs if not is_zero(shape)]
 
 
 def _measure_node(sums: Any, node: MemoryNode) -> None:

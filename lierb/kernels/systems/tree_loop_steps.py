@@ -5,25 +5,27 @@ from __future__ import annotations
 from functools import partial
 from typing import Any
 
+from lierb.kernels.functions.function import size_of
+from lierb.kernels.functions.signals import Signals
 from lierb.kernels.mechanics import tree_nodes
 from lierb.kernels.mechanics.tree_connections import loads_of
 from lierb.kernels.mechanics.tree_nodes import PASSED, Kind
-from lierb.kernels.numbers.arithmetic import where
-from lierb.kernels.numbers.vec import Vec, add, dot
+from lierb.kernels.numbers.arithmetic import maximum, where
+from lierb.kernels.numbers.vec import Vec, add, dot, scale, sub
 from lierb.kernels.numbers.zero import ZERO, is_zero
 from lierb.kernels.systems import tree_places as at
 from lierb.kernels.systems.combine import NAN, summed, weighted
 from lierb.kernels.systems.plan import ElementKind
+from lierb.kernels.systems.signals import states_of
 from lierb.kernels.systems.state import Factors, Rates, Slopes, State, Units, Weights
-from lierb.kernels.systems.tree_loop_rows import LoopRows
+from lierb.kernels.systems.tree_loop_motion import LoopMotion, LoopMotions
 from lierb.kernels.systems.tree_memory import LoopBody, MemoryElement, MemoryNode, MemoryTree
-from lierb.kernels.systems.tree_table import slopes_of
 from lierb.kernels.tracing.arrays import Index
 from lierb.kernels.tracing.lanes import Lane
 from lierb.kernels.tracing.memory import Rows, for_each, if_not_zero
 
 
-class LoopSteps(LoopRows):
+class LoopSteps(LoopMotions):
     """Steps and error control."""
 
     def chart_gravity(self, body: LoopBody, chart: Any) -> None:
@@ -56,36 +58,49 @@ class LoopSteps(LoopRows):
 
         for_each(count, one)
         (work,) = summed((state.work,), units.other, weights, slopes.work, units)
-        return state._replace(work=work)
+        states = summed(state.states, units.other, weights, slopes.states, units)
+        return state._replace(work=work, states=states)
 
     def stage_rates(
         self, body: LoopBody, state: State, gravity: None, time: Any, stage: int = 0
     ) -> Rates:
         """Store the slopes of a stage as those of number `stage`."""
         tree = self._tree(body)
-        ahead = tree[at.FREEDOMS] * stage
-        self._run("rates", body, self._rates, ahead, time, *self._scales(body))
+        body = body._replace(signals=body.signals._replace(states=state.states))
+        self._call_rates(body, tree[at.FREEDOMS] * stage, time)
         sums = tree.section(at.SUMS_ROW)
         power = sums[at.POWER] if self.plan.does_work else ZERO
-        return Rates((), (), power, sums[at.SINGULAR] if self.plan.constraint_kinds else ZERO)
+        singular = sums[at.SINGULAR] if self.plan.constraint_kinds else ZERO
+        of_states = self.state_rates(body, LoopMotion(self._of_passive(tree)), time)
+        return Rates((), (), power, singular, of_states)
 
-    def _rates(self, tree: MemoryTree, ahead: Index, time: Any, *scales: Lane) -> None:
-        self._load(tree, ahead, time)
+    def _call_rates(self, body: LoopBody, ahead: Index, time: Any) -> None:
+        """Emit a call that stores the rates of the stage.   ahead : rows of the slopes before."""
+        zero = 0.0 * body.mass
+        signals = (zero + x for x in (*body.signals.states, *body.signals.controls))
+        more = *self._scales(body), *signals
+        self._run("rates", body, self._rates, ahead, time, *more)
+
+    def _rates(self, tree: MemoryTree, ahead: Index, time: Any, *numbers: Lane) -> None:
+        scales, rest = numbers[: self._scaled], numbers[self._scaled :]
+        count = size_of(states_of(self.plan))
+        self._load(tree, ahead, time, Signals(rest[:count], rest[count:]))
         if scales:
             self._constrain(tree, time, *scales)
         self._accelerate(tree, ahead)
 
-    def _load(self, tree: MemoryTree, ahead: Index, time: Any) -> None:
+    def _load(self, tree: MemoryTree, ahead: Index, time: Any, signals: Signals) -> None:
         """Store motions, loads and articulated inertias."""
-        acts = bool(self.plan.element_kinds)
+        plan, acts = self.plan, bool(self.plan.element_kinds)
+        is_whole = acts or bool(plan.constraint_kinds or plan.listed_kinds)
 
-        self._call_place(tree, ahead, is_whole=acts or bool(self.plan.constraint_kinds))
-        if self.plan.does_work:
+        self._call_place(tree, ahead, is_whole)
+        if plan.does_work:
             tree.section(at.SUMS_ROW).put(at.POWER, 0.0)
         if acts:
             loads = tree.section(at.LOADS_ROW)
             for_each(tree[at.NODES] * 6 + 6, lambda i: loads.put(i, 0.0))
-            tree.for_elements(lambda element: self._act(element, time))
+            tree.for_elements(lambda element: self._act(element, time, signals))
         self._gather(tree, acts)
 
     def _gather(self, tree: MemoryTree, acts: bool) -> None:
@@ -127,39 +142,14 @@ class LoopSteps(LoopRows):
 
         tree.for_nodes(one)
 
-    def _call_place(
-        self, tree: MemoryTree, ahead: Index, is_whole: bool, of_next: bool = False
-    ) -> None:
-        """Emit a call of the outward pass at X and V of the stage, which stores Ẋ.
-
-        of_next : whether to begin at the charts to which a step leads.
-        """
-        whole, behind = tree.index(int(is_whole)), tree[at.AHEAD] if of_next else tree.index(0)
-        self._run("place", tree, self._place, ahead, whole, behind)
-
-    def _place(self, tree: MemoryTree, ahead: Index, whole: Index, behind: Index) -> None:
-        def one(node: MemoryNode) -> None:
-            chart = tree.rows(node.entry(at.CHART) + behind)
-            parts = (node.constants, chart, node.freedoms(at.X_ROW))
-            v, into = node.freedoms(at.STAGE_ROW), node.slopes(at.X_SLOPES, ahead)
-            above, here = node.above, node.motion
-
-            def do(kind: Kind) -> None:
-                into.put(0, *tree_nodes.place(kind, *parts, v, above, here))
-                place = partial(tree_nodes.place_origin, kind, node.constants, v, above, here)
-                if_not_zero(whole, place)
-
-            node.each_kind(do)
-
-        tree.for_nodes(one)
-
-    def _act(self, element: MemoryElement, time: Any) -> None:
+    def _act(self, element: MemoryElement, time: Any, signals: Signals) -> None:
         """Add an element's wrench to the loads on its nodes, and its power to the sum."""
         node, other, sums = element.node, element.other, element.tree.section(at.SUMS_ROW)
         places = [each.part(at.LOADS_ROW, 6) for each in (node, other)]
 
         def do(kind: ElementKind) -> None:
             placed, frame, x, lever = element.placed(kind, time)
+            x = x._replace(signals=signals)
             wrench = kind.element.wrench(placed, x)
             if kind.element.does_work:
                 sums.put(at.POWER, sums[at.POWER] + kind.element.power(placed, x, wrench))
@@ -216,9 +206,6 @@ class LoopSteps(LoopRows):
         tree.for_nodes(one)
         return chart
 
-    def jumps(self, body: LoopBody) -> tuple[Any, ...]:
-        return ()
-
     # ---- error control: squares of all rotations, positions, ω and v ----
 
     def sizes(self, body: LoopBody, is_next: bool) -> tuple[Any, Any, Any]:
@@ -268,19 +255,37 @@ class LoopSteps(LoopRows):
 
         tree.for_nodes(one)
 
-    def _spare(self, tree: MemoryTree) -> Index:
-        """Rows of all slopes of a step, behind which those of a state at rest are."""
-        return tree[at.FREEDOMS] * slopes_of(self.plan)
+    def is_rough(self, body: LoopBody, stages: int, h: Any, rough: float, throw: float) -> Any:
+        """Return whether a stage's rate, over the step, would change a velocity by far more than
+        the step does.   rough, throw : `lierb.kernels.stepping.step_size.ROUGH` and THROW.
+        """
+        first, *rest = self._tree(body).slopes(at.V_SLOPES, range(stages))
+        found = self._tree(body).section(at.SUMS_ROW)
+        found.put(0, 0.0)
 
-    def _stay(self, tree: MemoryTree) -> None:
-        """Make the state the stage."""
-        x, v, stage = (tree.section(name) for name in (at.X_ROW, at.V_ROW, at.STAGE_ROW))
+        def one(node: MemoryNode) -> None:
+            freedom = node.entry(at.FREEDOM)
+            rows = [slope.at(freedom) for slope in (first, *rest)]
+            ends = node.freedoms(at.V_ROW), node.next_v
 
-        def copy(i: Index) -> None:
-            x.put(i, 0.0)
-            stage.put(i, v[i])
+            def do(kind: Kind) -> None:
+                pitch = kind.pitch(node.constants)
+                start, *changes = (kind.lifted(row, pitch) for row in rows)
+                before, after = (kind.lifted(row, pitch) for row in ends)
+                for part, size in ((slice(3), 1.0), (slice(3, 6), body.girth)):
+                    speed = maximum(*(dot(v[part], v[part]) for v in (before, after)))
+                    for change in changes:
+                        by = scale(h, sub(change[part], start[part]))
+                        square = dot(by, by)
+                        if not is_zero(square):
+                            is_fast = square > rough * rough * speed
+                            moves = h * h * square > throw * throw * size
+                            found.put(0, where(is_fast & moves, 1.0, found[0]))
 
-        for_each(tree[at.FREEDOMS], copy)
+            node.each_kind(do)
+
+        self._tree(body).for_nodes(one)
+        return found[0] > 0.5
 
     def turns_and_places(self, chart: Any) -> tuple[Vec, Vec]:
         return (), ()

@@ -8,8 +8,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, NamedTuple
 
+from lierb.kernels.functions.function import size_of
 from lierb.kernels.functions.signals import NO_SIGNALS, Signals
 from lierb.kernels.groups import se3
 from lierb.kernels.mechanics import tree_nodes
@@ -39,7 +41,7 @@ from lierb.kernels.systems.connection_table import (
 )
 from lierb.kernels.systems.layout import Columns, Field
 from lierb.kernels.systems.plan import ConstraintKind, ElementKind, LoopPlan
-from lierb.kernels.systems.signals import PassiveElements
+from lierb.kernels.systems.signals import PassiveElements, states_of
 from lierb.kernels.tracing.arrays import Index
 from lierb.kernels.tracing.lanes import Lane
 from lierb.kernels.tracing.memory import Rows, for_each, if_not_zero, integer_at, procedure, switch
@@ -50,7 +52,8 @@ class LoopBody(NamedTuple):
 
     mass : of the first link, as an example of the number type.
     dropped, signals, girth : see `TreeConstants`.   length : characteristic length, m.
-    heavy : sum of the roots of all masses, √kg.
+    heavy : sum of the roots of all masses, √kg.   elements : parameters of passive elements, behind
+    nothing for each other element of the plan.   jumps : times at which elements may jump, s.
     """
 
     table: Any
@@ -62,6 +65,8 @@ class LoopBody(NamedTuple):
     signals: Signals = NO_SIGNALS
     length: Any = ZERO
     heavy: Any = ZERO
+    elements: tuple[Any, ...] = ()
+    jumps: Vec = ()
 
 
 class MemoryNode:
@@ -170,7 +175,11 @@ class MemoryConnection:
 
 
 class MemoryElement(MemoryConnection):
-    """An element at run time."""
+    """An element at run time.   k : its number."""
+
+    def __init__(self, tree: MemoryTree, k: Index) -> None:
+        super().__init__(tree, tree[at.ELEMENT_TABLE] + k * at.ELEMENT)
+        self.k = k
 
     def each_kind(self, do: Callable[[ElementKind], None]) -> None:
         """Emit the code of all kinds, of which the element's runs."""
@@ -248,10 +257,11 @@ class MemoryTree:
 
     def for_elements(self, do: Callable[[MemoryElement], None]) -> None:
         if self.plan.element_kinds:
-            table = self[at.ELEMENT_TABLE]
-            for_each(
-                self[at.ELEMENTS], lambda k: do(MemoryElement(self, table + k * at.ELEMENT))
-            )
+            for_each(self[at.ELEMENTS], lambda k: do(MemoryElement(self, k)))
+
+    def listed(self, k: int) -> MemoryConnection:
+        """An element that the code has one by one."""
+        return MemoryConnection(self, self[at.LISTED_TABLE] + k * at.ELEMENT)
 
     def for_constraints(self, do: Callable[[MemoryConstraint], None]) -> None:
         if self.plan.constraint_kinds:
@@ -285,12 +295,16 @@ class TreeInMemory(PassiveElements):
 
     joints: tuple[Connection, ...] = ()  # their errors are in memory, not in a `Record`
     inputs = Columns(Field("state", (0,)))  # read from memory
-    state = Columns(Field("v", (1,)), Field("work"))
     invariant = ()
     is_homogeneous = False
     is_light = False
     takes_small_angle_steps = False
     rows = ()
+
+    @cached_property
+    def state(self) -> Columns:
+        states = Field("states", (size_of(states_of(self.plan)),))
+        return Columns(Field("v", (1,)), Field("work"), states)
 
     @property
     def projects(self) -> bool:

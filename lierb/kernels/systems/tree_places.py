@@ -12,15 +12,15 @@ from lierb.kernels.systems.measures import JOINT_ERRORS
 # columns of the inputs;
 (
     NODES, FREEDOMS, LINKS, JOINTS, ROOTS,
-    JOINT_COLUMN, GRAVITY_COLUMN, START_COLUMN, CHART_COLUMN, V_COLUMN,
-    # the number of elements, and their place in the table;
-    ELEMENTS, ELEMENT_TABLE,
+    JOINT_COLUMN, GRAVITY_COLUMN, START_COLUMN, CHART_COLUMN, V_COLUMN, STATES_COLUMN,
+    # the number of elements, and their place in the table; the place of those that are listed;
+    ELEMENTS, ELEMENT_TABLE, LISTED_TABLE,
     # first rows of the nodes' constants; of the state: charts, velocities, JOINT_KEPT of each joint;
     CONSTANTS_ROW, DETAILS_ROW, CHART_ROW, V_ROW, KEPT_ROW, STATE_ROWS,
     # and of a stage: X/2 and V, motion, what nodes pass on, slopes of X and V, errors, sums.
     X_ROW, STAGE_ROW, MOTION_ROW, PASSED_ROW, X_SLOPES, V_SLOPES, ERRORS_ROW, SUMS_ROW,
-    # loads on the nodes, wrenches of the joints, and rows of the elements.
-    LOADS_ROW, WRENCH_ROW, ELEMENT_ROWS,
+    # loads on the nodes, wrenches of the joints, rows of the elements, and a motion of each.
+    LOADS_ROW, WRENCH_ROW, ELEMENT_ROWS, TRAVEL_ROW,
     # Numbers of a state; rows from a state to the one that a step leads to, 0 for one in its place;
     # a copy of that. Numbers of a state at the end of a run, and column of a lane's end in inputs.
     STATE, AHEAD, COPY_ROW, END_COLUMNS, LANE_COLUMN,
@@ -31,7 +31,7 @@ from lierb.kernels.systems.measures import JOINT_ERRORS
     # which a projection moves.
     CONSTRAINT_ROWS, LEFT_ROW, WALK_ROW, SCHUR_ROW, LOWER_ROW, SCALED_ROW, VECTOR_ROWS, OFF_ROW,
     HEADER,
-) = range(49)  # fmt: skip
+) = range(52)  # fmt: skip
 # A node's numbers: its kind and that of its joint; its role, and the first node of its joint; its
 # parent; rows of its chart; its first freedom; rows of what it passes on, of what its children pass
 # on, and of what its next sibling passes on, or 0; its link, or that of the next node for a

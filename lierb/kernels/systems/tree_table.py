@@ -13,6 +13,7 @@ from itertools import accumulate
 import numpy as np
 from numpy.typing import NDArray
 
+from lierb.kernels.functions.function import size_of
 from lierb.kernels.mechanics import subgroup
 from lierb.kernels.mechanics.tree import GROUND, MASSLESS
 from lierb.kernels.mechanics.tree_nodes import (
@@ -26,9 +27,10 @@ from lierb.kernels.mechanics.tree_nodes import (
 from lierb.kernels.numbers.arithmetic import flatten
 from lierb.kernels.numbers.zero import is_zero
 from lierb.kernels.systems import tree_places as at
-from lierb.kernels.systems.connection_table import constraints_of, element_rows, elements_of
+from lierb.kernels.systems.connection_table import TRAVEL, constraints_of, elements_of, listed_of
 from lierb.kernels.systems.measures import JOINT_ERRORS, JOINT_KEPT
 from lierb.kernels.systems.plan import AnyPlan, MechanismPlan
+from lierb.kernels.systems.signals import states_of
 from lierb.kernels.systems.tree_inputs import first_of_joint, inputs_of, state_columns
 
 @lru_cache(64)
@@ -45,13 +47,15 @@ def table_of(plan: MechanismPlan) -> tuple[NDArray[np.int64], int]:
     names = {at.JOINT_COLUMN: "0.ground_frame", at.GRAVITY_COLUMN: "gravity"}
     for place, name in (names | {at.START_COLUMN: "0.pose"}).items():
         header[place] = inputs[name].start
-    state = state_columns(count, 0)
-    header[[at.CHART_COLUMN, at.V_COLUMN]] = [
-        inputs.count + state[name].start for name in ("charts", "v")
+    extra = size_of(states_of(plan))
+    state = state_columns(count, extra)
+    header[[at.CHART_COLUMN, at.V_COLUMN, at.STATES_COLUMN]] = [
+        inputs.count + state[name].start for name in ("charts", "v", "states")
     ]
     nodes = np.zeros((count + 1, at.TABLE), np.int64)
     slots, errors = _slots(plan, nodes), len(plan.joints)
     slopes = freedoms * (slopes_of(plan) + 1)
+    elements, rows = elements_of(plan)
     constraints = constraints_of(plan, [kind.freedoms for kind in kinds])
     ahead = (charts + freedoms) * plan.has_lane_clocks
     sizes = {
@@ -61,7 +65,7 @@ def table_of(plan: MechanismPlan) -> tuple[NDArray[np.int64], int]:
         at.PASSED_ROW: slots * PASSED, at.X_SLOPES: slopes, at.V_SLOPES: slopes,
         at.ERRORS_ROW: len(JOINT_ERRORS) * errors, at.SUMS_ROW: at.SUMS,
         at.LOADS_ROW: 6 * (count + 1), at.WRENCH_ROW: 6 * (count + 1 + plan.loops),
-        at.ELEMENT_ROWS: sum(element_rows(k) for k in plan.element_kinds if not k.element.rows),
+        at.ELEMENT_ROWS: rows, at.TRAVEL_ROW: TRAVEL * plan.has_lane_clocks * len(elements),
         **constraints.sizes, at.OFF_ROW: freedoms * bool(plan.constraints), at.AHEAD: ahead, at.COPY_ROW: ahead,
     }  # fmt: skip
     end = 0
@@ -69,14 +73,16 @@ def table_of(plan: MechanismPlan) -> tuple[NDArray[np.int64], int]:
         header[name], end = end, end + size
     header[at.STATE] = charts + freedoms
     header[at.AHEAD] = header[at.AHEAD] - header[at.CHART_ROW] if plan.has_lane_clocks else 0
-    header[at.END_COLUMNS] = sum(map(sum, map(_stored, kinds)))
+    header[at.END_COLUMNS] = sum(map(sum, map(_stored, kinds))) + extra
     header[at.LANE_COLUMN] = inputs.count + state.count
     header[at.STATE_ROWS] = charts + freedoms + sizes[at.KEPT_ROW]
     _fill_in(plan, joints, header, nodes)
-    elements = elements_of(plan, int(header[at.ELEMENT_ROWS]))
-    header[[at.ELEMENTS, at.ELEMENT_TABLE]] = len(elements), at.HEADER + nodes.size
-    tables = [nodes.ravel(), elements.ravel()]
-    tables += constraints.tables(header, at.HEADER + nodes.size + elements.size)
+    elements[:, at.ROW] += header[at.ELEMENT_ROWS]
+    place = at.HEADER + nodes.size
+    header[[at.ELEMENTS, at.ELEMENT_TABLE]] = len(elements), place
+    header[at.LISTED_TABLE] = place + elements.size
+    tables = [part.ravel() for part in (nodes, elements, listed_of(plan))]
+    tables += constraints.tables(header, at.HEADER + sum(part.size for part in tables))
     return np.concatenate([header, *tables])[None], end
 
 

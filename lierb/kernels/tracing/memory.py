@@ -7,6 +7,7 @@ known at run time only, the numbers are in memory, and the formula of one part r
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from copy import copy
 from typing import Any
 
 from llvmlite import ir
@@ -35,6 +36,12 @@ class Rows:
     def _at(self, start: ir.Value, row: Index | int) -> ir.Value:
         offset = row.value if isinstance(row, Index) else ir.IntType(64)(row)
         return self.trace.builder.gep(start, [offset])
+
+    def at(self, first: Index) -> Rows:
+        """Rows from `first` on."""
+        rows = copy(self)
+        rows.start = self._at(self.start, first)
+        return rows
 
     def __getitem__(self, row: Any) -> Any:
         if isinstance(row, slice):

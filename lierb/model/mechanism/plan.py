@@ -135,10 +135,7 @@ def why_unrolled(plan: MechanismPlan) -> str:
         "links outside the reduced c-space": any(not n.is_reduced for n in plan.tree),
         "NUMBA_DISABLE_JIT": bool(numba.config.DISABLE_JIT),
         "joints whose motions are no group": any(node.rows for node in plan.tree),
-        "observables, states, events and controllers": any(e.is_passive for e in plan.elements),
         "functions that are called body by body": plan.calls_functions,
-        "stops, jumps and unknown functions of the pose, with adaptive steps": plan.has_lane_clocks
-        and any(e.bounds_steps or e.discontinuities for e in plan.elements),
         f'update="{plan.update}"': plan.update != "local",
         "a commutator-free method": bool(plan.exponentials),
     }
