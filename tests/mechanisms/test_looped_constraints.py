@@ -291,9 +291,7 @@ def test_forty_windows_move_as_one_pendulum():
     """
     count, mechanism_start = 40, windows(40)
     inertia, moment = (count + 1) / 3 + count, (count + 1) / 2 + count
-    result = looped(
-        *mechanism_start, dt=2.5e-3, t_end=20.0, method="Tsit5", stabilise="project"
-    )
+    result = looped(*mechanism_start, dt=2.5e-3, t_end=20.0, method="Tsit5", stabilise="project")
     rate = lambda t, y: (y[1], moment / inertia * G0 * np.sin(y[0]))
     y = solve_ivp(rate, (0.0, 20.0), (0.0, 1.0), method="DOP853", rtol=1e-13, atol=1e-13).y
     phi = y[0, -1]

@@ -25,7 +25,6 @@ from lierb.kernels.loops.job import BODIES, RESUMED, TWISTS, UNSEEN
 from lierb.kernels.loops.record import (
     initial_record,
     initial_state,
-    keep_errors,
     load_body,
     load_carried,
     load_given,
@@ -39,6 +38,9 @@ from lierb.kernels.loops.record import (
     without_measures,
 )
 from lierb.kernels.loops.sharing import pack, take_share
+from lierb.kernels.loops.states_in_memory import (
+    keep_errors,
+)
 from lierb.kernels.loops.tables import (
     Place,
     store_row,

@@ -12,7 +12,7 @@ from lierb.kernels.numbers.arithmetic import absolute, all_lanes, any_lanes, loa
 from lierb.kernels.stepping.lane_clock import LaneClock, Trial, rounding_at
 from lierb.kernels.stepping.method import Interval
 from lierb.kernels.stepping.runge_kutta import method_of
-from lierb.kernels.stepping.step_size import parts_to_watch
+from lierb.kernels.stepping.travel import parts_to_watch
 from lierb.kernels.systems.extra_states import Control, with_signals
 from lierb.kernels.systems.plan import AnyPlan
 from lierb.kernels.systems.signals import events_of
@@ -199,8 +199,8 @@ def ends_between(plan: AnyPlan, rows: Any) -> Any:
 
 
 for _formula in (
-    ends_between, slopes_between, state_between, time_between, is_due_between, select_due_between, shown_between,
-    with_record, put_values, put_roundings, parts_of, next_part, ends_step, in_step, put_part,
-    ended_between,
+    slopes_between, state_between, time_between, is_due_between, select_due_between, shown_between,
+    ends_between, with_record, put_values, put_roundings, parts_of, next_part, ends_step, in_step,
+    put_part, ended_between,
 ):  # fmt: skip
     kernel(_formula)

@@ -16,11 +16,13 @@ from lierb.kernels.loops.lane_state import (
 )
 from lierb.kernels.loops.record import (
     are_finite,
-    keep_errors,
     observe,
-    take_next,
     with_rank,
     without_measures,
+)
+from lierb.kernels.loops.states_in_memory import (
+    keep_errors,
+    take_next,
 )
 from lierb.kernels.loops.workspace import DUE, NOISE_INDEX, SELECTED
 from lierb.kernels.numbers.arithmetic import (
@@ -50,10 +52,10 @@ from lierb.kernels.stepping.method import Interval
 from lierb.kernels.stepping.runge_kutta import method_of
 from lierb.kernels.stepping.step_size import (
     Tolerances,
-    longest_step,
     squared_correction,
     squared_error,
 )
+from lierb.kernels.stepping.travel import longest_step
 from lierb.kernels.systems.combine import NAN
 from lierb.kernels.systems.extra_states import Control, with_signals
 from lierb.kernels.systems.observables import Kept, observables_of, with_value

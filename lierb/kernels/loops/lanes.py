@@ -24,19 +24,21 @@ from lierb.kernels.loops.event_state import AT_THETA
 from lierb.kernels.loops.job import BODIES, RESUMED, TWISTS, UNSEEN
 from lierb.kernels.loops.lane_state import any_of, put_row, row_of, select
 from lierb.kernels.loops.record import (
-    clear_errors,
-    copy_next,
-    exchange,
     load_body,
     load_given,
-    restore_next,
     resumed_state,
     store_end,
-    take_next,
     with_exceptions,
     with_rank,
 )
 from lierb.kernels.loops.sharing import pack, take_share
+from lierb.kernels.loops.states_in_memory import (
+    clear_errors,
+    copy_next,
+    exchange,
+    restore_next,
+    take_next,
+)
 from lierb.kernels.loops.tables import Place, store_row, store_start, store_summary, tables_at
 from lierb.kernels.stepping.lane_clock import Span
 from lierb.kernels.stepping.step_size import Tolerances

@@ -380,48 +380,6 @@ def _joints_kept(
     return tuple(kept)
 
 
-def keep_errors(plan: AnyPlan, body: Any, record: Record, now: Any) -> None:
-    """Update the retained errors of a looped plan's joints, which are not in the record.
-
-    now : 1 in the lanes to update.
-    """
-    if plan.is_looped:
-        in_memory(plan).keep_errors(body, record.status == OK, now > 0.5)
-
-
-# ---- states of a looped plan, which are in memory: nothing for other plans ----
-
-
-def take_next(plan: AnyPlan, body: Any, mask: Any) -> None:
-    """Make the next state the state where the mask, 1 or 0, is 1."""
-    if plan.is_looped:
-        in_memory(plan).take_next(body, mask)
-
-
-def clear_errors(plan: AnyPlan, body: Any, mask: Any) -> None:
-    """Set the retained errors of the joints to 0 where the mask is 1."""
-    if plan.is_looped:
-        in_memory(plan).clear_errors(body, mask)
-
-
-def exchange(plan: AnyPlan, body: Any) -> None:
-    """Exchange the state and the next one."""
-    if plan.is_looped:
-        in_memory(plan).exchange(body)
-
-
-def copy_next(plan: AnyPlan, body: Any, mask: Any) -> None:
-    """Copy the next state where the mask is 1, for `restore_next`."""
-    if plan.is_looped:
-        in_memory(plan).copy_next(body, mask)
-
-
-def restore_next(plan: AnyPlan, body: Any, mask: Any) -> None:
-    """Make the copy the next state where the mask is 1."""
-    if plan.is_looped:
-        in_memory(plan).copy_next(body, mask, is_back=True)
-
-
 def without_measures(plan: AnyPlan, record: Record, seen: Record) -> Record:
     """Return the record after a step that is saved, not measured.   seen : record by `observe`."""
     if not may_raise(plan):
@@ -435,7 +393,7 @@ def without_measures(plan: AnyPlan, record: Record, seen: Record) -> Record:
 
 for _formula in (
     load_body, load_placed, load_given, initial_state, initial_record, resumed_state,
-    resumed_record, with_rank, load_carried, store_carried, observe, keep_errors, take_next,
-    clear_errors, exchange, copy_next, restore_next, without_measures, with_exceptions, store_end,
+    resumed_record, with_rank, load_carried, store_carried, observe, without_measures,
+    with_exceptions, store_end,
 ):  # fmt: skip
     kernel(_formula)

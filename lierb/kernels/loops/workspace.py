@@ -17,7 +17,7 @@ from lierb.compiler.loops import histories_at, integers_at, number_at, numbers_a
 from lierb.compiler.tags import Tag
 from lierb.kernels.loops.sharing import take_share
 from lierb.kernels.loops.tables import tables_at
-from lierb.kernels.stepping.step_size import MOST_PARTS
+from lierb.kernels.stepping.travel import MOST_PARTS
 from lierb.kernels.systems.measures import SUMMARY
 
 # Rows of a workspace, each with a number for every lane.

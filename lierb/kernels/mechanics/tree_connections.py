@@ -14,7 +14,6 @@ of this origin relative to the other node.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -177,7 +176,9 @@ class Connected:
         omega, spin = self.frame.omega, self.other[OMEGA : OMEGA + 3]
         along = mat_vec(self.frame.turn, self.x.point_rate)
         swung = axpy(2.0, along, cross(spin, self._between[1]))
-        return cross(omega, spin) + sub(cross(omega, cross(omega, self.frame.arm)), cross(spin, swung))
+        return cross(omega, spin) + sub(
+            cross(omega, cross(omega, self.frame.arm)), cross(spin, swung)
+        )
 
     def mobility(self, loads: tuple[Vec, Vec], easy: tuple[Vec, Vec]) -> Any:
         """Square of the size of a row in the metric of each node's own inertia.

@@ -315,7 +315,7 @@ def transmitted(constants: Any, here: Any, load: Vec | None) -> Vec:
 
 
 def easy_of(constants: Any) -> Vec:
-    """Reciprocals of the inertia's diagonal about a node's origin and of its mass; 0 without mass."""
+    """Reciprocals of the inertia's diagonal about a node's origin and of its mass, or 0."""
     rows = (INERTIA, INERTIA + 2, INERTIA + 5, MASS)
     numbers = [constants[row] for row in rows]
     return tuple(where(x > 0.0, 1.0 / where(x > 0.0, x, 1.0), 0.0) for x in numbers)

@@ -13,8 +13,6 @@ from typing import Any, NamedTuple
 
 from lierb.kernels.mechanics.scale import START_TOLERANCE
 from lierb.kernels.numbers.arithmetic import (
-    absolute,
-    floor,
     fma,
     maximum,
     minimum,
@@ -28,7 +26,6 @@ from lierb.kernels.stepping.runge_kutta import method_of
 from lierb.kernels.systems.combine import weighted
 from lierb.kernels.systems.extra_states import in_states
 from lierb.kernels.systems.plan import AnyPlan
-from lierb.kernels.systems.signals import events_of
 from lierb.kernels.systems.state import Rates, Slopes, Stabilised, State, Units, Weights
 from lierb.kernels.systems.system_of import in_memory, system_of
 from lierb.kernels.tracing.words import rough_exp2, rough_log2
@@ -45,12 +42,10 @@ LEAST_ULPS = 16.0  # least step, in units of the rounding of time
 ROUNDED_V, ROUNDED_PLACE = 64.0 * EPS, 1024.0 * EPS
 # Relative error of a start's twist and pose: the start's tolerance times the rows' amplification.
 ADMITTED = 1e3 * START_TOLERANCE
-LEAST_OF_STEP = 1e-6  # least bound, a fraction of a step, so that the next step passes a kink
 # A step is too rough for its error estimate if the rate of one stage, applied to the whole step,
 # changes a velocity by ROUGH times its size and moves the pose by THROW, in rad or in radii of
 # gyration. Its squared error is then at least ROUGH_ERROR.
 ROUGH, THROW, ROUGH_ERROR = 2.0, 1e-3, 1e6
-MOST_PARTS = 32  # largest number of parts of a step, each searched for events
 INF = float("inf")
 DOP853_MIX = 0.01  # weight of E₃² in the error of a method with two estimates (dop853.f)
 
@@ -81,43 +76,6 @@ class Tolerances(NamedTuple):
 def within(h: Any, limits: Tolerances) -> Any:
     """Return the step length nearest to h within the limits, s."""
     return maximum(minimum(h, limits.dt_max), limits.dt_min)
-
-
-def longest_step(plan: AnyPlan, body: Any, state: State, moved: State, time: Any, h: Any) -> Any:
-    """Return the longest step from `state`, s, that does not pass over a region in which an element
-    acts; None if no element bounds it.
-
-    moved : state that has the velocity: `state` before the step is tried, its end afterwards.
-    h : step that error control proposes, s. The bound is limited from below, relative to h and to
-        the rounding of time, so that a trajectory does not stall.
-    """
-    if not (events_of(plan) or any(element.bounds_steps for element in plan.elements)):
-        return None
-    system = system_of(plan)
-    start = system.motion(body, state, time)
-    end = system.motion(body, moved, time, is_next=moved is not state)
-    least = maximum(LEAST_OF_STEP * h, 4.0 * LEAST_ULPS * EPS * absolute(time))
-    longest: Any = INF
-    for watched, parts in ((False, 1.0), (True, float(MOST_PARTS))):
-        for rate, distance in system.travel(body, start, end, time, watched):
-            if not is_zero(rate):
-                moves = rate > 0.0
-                bound = maximum(parts * distance / where(moves, rate, 1.0), least)
-                longest = minimum(longest, where(moves, bound, INF))
-    return longest
-
-
-def parts_to_watch(plan: AnyPlan, body: Any, state: State, moved: State, trial: Any) -> Any:
-    """Return the number of equal parts of a step that are searched for events one by one."""
-    system = system_of(plan)
-    start = system.motion(body, state, trial.start)
-    end = system.motion(body, moved, trial.start, is_next=True)
-    fastest: Any = 0.0 * trial.h
-    for at in (start, end):
-        for rate, distance in system.travel(body, start, at, trial.start, watched=True):
-            if not is_zero(rate):
-                fastest = maximum(fastest, rate / distance)
-    return minimum(floor(trial.h * fastest) + 1.0, float(MOST_PARTS))
 
 
 def squared_error(
@@ -400,7 +358,10 @@ def _rate_against(
     stages : weights of the stages whose sum the rates are, for a looped plan.
     """
     if plan.is_looped:
-        squares, states = in_memory(plan).slope_squares(body, stages), _squares_of(plan, rates.states)
+        squares, states = (
+            in_memory(plan).slope_squares(body, stages),
+            _squares_of(plan, rates.states),
+        )
         return _largest_of(body, squares, states, scales)
     system = system_of(plan)
     twist = system.velocity(body, rates.v_or_mu)

@@ -115,9 +115,13 @@ def constraints_of(plan: MechanismPlan, freedoms: list[int]) -> Constraints:
     """Table of the constraints.   freedoms : number of each node."""
     kinds, above = _code(plan).constraint_kinds, [-1, *(node.parent + 1 for node in plan.tree)]
     multipliers = [*accumulate((len(c.rows) for c in plan.connections), initial=0)]
-    table, steps, equations = [], [], []
-    pairs, stretches, places = [], [], []
-    row = left = schur = 0
+    table: list[tuple[int, ...]] = []
+    steps: list[tuple[int, ...]] = []
+    equations: list[tuple[int, ...]] = []
+    pairs: list[tuple[int, ...]] = []
+    stretches: list[tuple[int, int, int]] = []
+    places: list[dict[int, range]] = []
+    constants = left = schur = 0
     firsts: list[int] = []
     for number, kind in plan.constraints:
         nodes = _connection(plan, number)
@@ -129,13 +133,13 @@ def constraints_of(plan: MechanismPlan, freedoms: list[int]) -> Constraints:
         places.append({i: range(own[i], own[i] + freedoms[i - 1]) for i in path})
         firsts.append(first)
         table.append((
-            kinds.index(kind), *nodes, row, first, count, multipliers[number], left,
+            kinds.index(kind), *nodes, constants, first, count, multipliers[number], left,
             len(steps) * at.STEP, *map(len, walks), length, _wrench_row(plan, number),
         ))  # fmt: skip
         for i in (i for walk in walks for i in walk):
             moves = freedoms[i - 1]
             steps.append((i, own[i], moves, i * MOTION + PULLS + 6 * moves))
-        row += PLACED + (placed_rows(kind.element) if kind.element else 0)
+        constants += PLACED + (placed_rows(kind.element) if kind.element else 0)
         left += 2 * count * length
         shared = [_stretches(places[-1], before) for before in places]
         envelope = next(k for k, some in enumerate(shared) if some or k == len(table) - 1)
@@ -147,17 +151,16 @@ def constraints_of(plan: MechanismPlan, freedoms: list[int]) -> Constraints:
             schur += i + 1 - firsts[envelope]
     most = max((len(kind.rows) for _, kind in plan.constraints), default=0)
     sizes = {
-        at.CONSTRAINT_ROWS: row, at.LEFT_ROW: left, at.WALK_ROW: 12 * most, at.SCHUR_ROW: schur,
-        at.LOWER_ROW: schur, at.SCALED_ROW: schur, at.VECTOR_ROWS: at.VECTORS * len(equations),
+        at.CONSTRAINT_ROWS: constants, at.LEFT_ROW: left, at.WALK_ROW: 12 * most,
+        at.SCHUR_ROW: schur, at.LOWER_ROW: schur, at.SCALED_ROW: schur,
+        at.VECTOR_ROWS: at.VECTORS * len(equations),
     }  # fmt: skip
-    arrays = (
-        np.array(rows, np.int64).reshape(-1, width)
-        for rows, width in (
-            (table, at.CONSTRAINT), (steps, at.STEP), (equations, at.EQUATION), (pairs, at.PAIR),
-            (stretches, at.STRETCH),
-        )
+    rows = (
+        (table, at.CONSTRAINT), (steps, at.STEP), (equations, at.EQUATION), (pairs, at.PAIR),
+        (stretches, at.STRETCH),
     )  # fmt: skip
-    return Constraints(*arrays, sizes)
+    parts = [np.array(numbers, np.int64).reshape(-1, width) for numbers, width in rows]
+    return Constraints(parts[0], parts[1], parts[2], parts[3], parts[4], sizes)
 
 
 def _wrench_row(plan: MechanismPlan, number: int) -> int:

@@ -74,9 +74,7 @@ def settle(tree: MemoryTree, run: Run, dropped: Lane, forced: Any, violation: An
             sums.put(at.DROPPED, where(is_open, sums[at.DEPENDENT], count))
             first, other = tree.vector(at.MULTIPLIERS), tree.vector(at.SECOND)
             sums.put(at.DEPENDENT, count)
-            for_each(
-                tree[at.EQUATIONS], lambda i: first.put(i, where(is_open, other[i], first[i]))
-            )
+            for_each(tree[at.EQUATIONS], lambda i: first.put(i, where(is_open, other[i], first[i])))
             return ()
 
         branch(any_lanes(is_open), repeated, lambda: (), likely=False)

@@ -12,16 +12,13 @@ from __future__ import annotations
 from typing import Any
 
 from lierb.kernels.mechanics import tree_nodes
-from lierb.kernels.mechanics.tree import HERE, Ends
-from lierb.kernels.mechanics.tree_nodes import JointKind, Kind
+from lierb.kernels.mechanics.tree_nodes import Kind
 from lierb.kernels.numbers.arithmetic import flatten, scatter, sqrt, store, where
-from lierb.kernels.numbers.vec import Vec, add
-from lierb.kernels.numbers.zero import ZERO, is_zero
+from lierb.kernels.numbers.zero import is_zero
 from lierb.kernels.systems import tree_places as at
 from lierb.kernels.systems.combine import NAN
 from lierb.kernels.systems.layout import POSE_AND_TWIST
 from lierb.kernels.systems.measures import JOINT_ERRORS, JOINT_KEPT
-from lierb.kernels.systems.relatives import multipliers_of_wrench
 from lierb.kernels.systems.state import State
 from lierb.kernels.systems.tree_loop_forces import LoopForces
 from lierb.kernels.systems.tree_memory import LoopBody, MemoryNode

@@ -73,9 +73,7 @@ class LoopForces(LoopMeasures):
             wrenches, count = tree[at.WRENCH_ROW], tree[at.LINKS]
             tree.for_links(lambda n: put_reaction(n.entry(at.LINK), wrenches + n.i * 6))
             loops = wrenches + tree[at.NODES] * 6 + 6
-            for_each(
-                tree[at.JOINTS] - count, lambda i: put_reaction(count + i, loops + i * 6)
-            )
+            for_each(tree[at.JOINTS] - count, lambda i: put_reaction(count + i, loops + i * 6))
 
     def _store_wrenches(self, tree: MemoryTree, time: Any) -> None:
         """Store the wrench of every joint of the tree on its node, in the node's axes."""

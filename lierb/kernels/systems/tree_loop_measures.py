@@ -11,11 +11,17 @@ from lierb.kernels.numbers.zero import ZERO, is_zero
 from lierb.kernels.systems import tree_places as at
 from lierb.kernels.systems.combine import NAN
 from lierb.kernels.systems.measures import JOINT_ERRORS, JOINT_KEPT, Observed, orthogonality_squared
-from lierb.kernels.systems.plan import ElementKind
+from lierb.kernels.systems.plan import ConstraintKind, ElementKind
 from lierb.kernels.systems.state import State
 from lierb.kernels.systems.tree_loop_motion import LoopMotion
 from lierb.kernels.systems.tree_loop_projection import LoopProjection
-from lierb.kernels.systems.tree_memory import LoopBody, MemoryElement, MemoryNode, MemoryTree
+from lierb.kernels.systems.tree_memory import (
+    LoopBody,
+    MemoryConstraint,
+    MemoryElement,
+    MemoryNode,
+    MemoryTree,
+)
 from lierb.kernels.tracing.arrays import Index
 from lierb.kernels.tracing.memory import for_each
 

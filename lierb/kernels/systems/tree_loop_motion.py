@@ -81,9 +81,7 @@ class LoopMotions(LoopRows):
 
         for_each(tree[at.FREEDOMS], copy)
 
-    def motion(
-        self, body: LoopBody, state: State, time: Any, is_next: bool = False
-    ) -> LoopMotion:
+    def motion(self, body: LoopBody, state: State, time: Any, is_next: bool = False) -> LoopMotion:
         """Store the motion of the nodes at the state or the next one; return that of elements."""
         tree = self._tree(body)
         self._see(tree, is_next)

@@ -46,9 +46,7 @@ class LoopProjection(LoopSteps):
         kept = state._replace(v_or_mu=(sums[at.SPEED],))
         return Stabilised(kept, mark, sums[0:2], sums[2:4])
 
-    def _project(
-        self, tree: MemoryTree, time: Any, h: Lane, dropped: Lane, length: Lane
-    ) -> None:
+    def _project(self, tree: MemoryTree, time: Any, h: Lane, dropped: Lane, length: Lane) -> None:
         sums, correction = tree.section(at.SUMS_ROW), tree.rows(self._correction(tree))
         way, mark = self._project_pose(tree, time, dropped, length)
         now = self._size(tree, tree[at.V_ROW] + tree[at.AHEAD], length)
@@ -167,4 +165,3 @@ class LoopProjection(LoopSteps):
         settle(tree, self._run, dropped, partial(self._forced, tree, None), violation)
         self._run("push", tree, self._push)
         self._accelerate(tree, self._spare(tree))
-

@@ -307,10 +307,6 @@ def _shared(tree: MemoryTree, u: Any, moved: Any, pair: list[Index]) -> Lane:
     def stretch(k: Index, total: Any) -> Any:
         place = pair[at.STRETCHES] + k * at.STRETCH
         first, second, count = (integer_at(tree.table, place + c) for c in range(at.STRETCH))
-        return accumulated(
-            count, total, lambda n, x: (fma(u[first + n], moved[second + n], x[0]),)
-        )
+        return accumulated(count, total, lambda n, x: (fma(u[first + n], moved[second + n], x[0]),))
 
     return accumulated(pair[at.COUNT], (u.zero,), stretch)[0]
-
-

@@ -111,7 +111,8 @@ class LoopStart(TreeInMemory):
         tree.for_nodes(weigh)
         girth = 0.5 * sums[1] / sums[0]
         mass = first.constants[tree_nodes.MASS]
-        body = self._with_elements(tree, LoopBody(tree.table, tree.memory, mass, gravity, girth), numbers)
+        body = LoopBody(tree.table, tree.memory, mass, gravity, girth)
+        body = self._with_elements(tree, body, numbers)
         if not self.plan.constraint_kinds:
             return body
         tree.for_constraints(lambda constraint: self._load_constraint(constraint, numbers))
@@ -129,9 +130,7 @@ class LoopStart(TreeInMemory):
         others: tuple[Any, ...] = ((),) * (len(self.plan.elements) - len(passive))
         jumping = zip(self.plan.listed_kinds, placed, strict=True)
         jumps = (time for kind, own in jumping for time in kind.element.jumps(own))
-        return body._replace(
-            elements=(*others, *placed[: len(passive)]), jumps=tuple(jumps)
-        )
+        return body._replace(elements=(*others, *placed[: len(passive)]), jumps=tuple(jumps))
 
     def _load_element(self, element: MemoryElement, numbers: Numbers) -> None:
         def do(kind: ElementKind) -> None:
@@ -151,9 +150,9 @@ class LoopStart(TreeInMemory):
             if kind.element is None:
                 frames = _frames_on(constraint, joint)
             else:
-                *frames, placed = _placed(constraint, kind.element, numbers)
-                stored = _stored(kind.element, placed)
-            constraint.rows.put(0, *flatten(tuple(frames)), *joint["pitch"], *joint["length"])
+                inner, outer, placed = _placed(constraint, kind.element, numbers)
+                frames, stored = (inner, outer), _stored(kind.element, placed)
+            constraint.rows.put(0, *flatten(frames), *joint["pitch"], *joint["length"])
             constraint.rows.put(EASY, *easy, *stored)
 
         constraint.each_kind(do)

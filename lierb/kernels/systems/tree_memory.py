@@ -15,8 +15,8 @@ from lierb.kernels.functions.function import size_of
 from lierb.kernels.functions.signals import NO_SIGNALS, Signals
 from lierb.kernels.groups import se3
 from lierb.kernels.mechanics import tree_nodes
-from lierb.kernels.mechanics.spatial import Pose, twist_at
 from lierb.kernels.mechanics.newton_euler import Motion
+from lierb.kernels.mechanics.spatial import Pose, twist_at
 from lierb.kernels.mechanics.tree import HERE, Connection, Ends
 from lierb.kernels.mechanics.tree_connections import (
     FRAME_ROWS,

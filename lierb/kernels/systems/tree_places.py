@@ -15,7 +15,7 @@ from lierb.kernels.systems.measures import JOINT_ERRORS
     JOINT_COLUMN, GRAVITY_COLUMN, START_COLUMN, CHART_COLUMN, V_COLUMN, STATES_COLUMN,
     # the number of elements, and their place in the table; the place of those that are listed;
     ELEMENTS, ELEMENT_TABLE, LISTED_TABLE,
-    # first rows of the nodes' constants; of the state: charts, velocities, JOINT_KEPT of each joint;
+    # first rows of the nodes' constants; of the state: charts, velocities, joints' JOINT_KEPT;
     CONSTANTS_ROW, DETAILS_ROW, CHART_ROW, V_ROW, KEPT_ROW, STATE_ROWS,
     # and of a stage: X/2 and V, motion, what nodes pass on, slopes of X and V, errors, sums.
     X_ROW, STAGE_ROW, MOTION_ROW, PASSED_ROW, X_SLOPES, V_SLOPES, ERRORS_ROW, SUMS_ROW,
@@ -24,11 +24,11 @@ from lierb.kernels.systems.measures import JOINT_ERRORS
     # Numbers of a state; rows from a state to the one that a step leads to, 0 for one in its place;
     # a copy of that. Numbers of a state at the end of a run, and column of a lane's end in inputs.
     STATE, AHEAD, COPY_ROW, END_COLUMNS, LANE_COLUMN,
-    # Numbers and places of constraints, of their equations, and of pairs of constraints on one path;
+    # Numbers and places of constraints, of their equations, and of pairs of them on one path;
     CONSTRAINTS, CONSTRAINT_TABLE, EQUATIONS, EQUATION_TABLE, PAIRS, PAIR_TABLE,
-    # first rows of their constants; of u and of (SᵀIS)⁻¹u of the equations; of two wrenches for each
-    # equation of a constraint; of S, L and L D of S = L D Lᵀ; of vectors of all equations; of X by
-    # which a projection moves.
+    # first rows of their constants; of u and of (SᵀIS)⁻¹u of the equations; of two wrenches of each
+    # equation of one constraint; of S, L and L D of S = L D Lᵀ; of vectors of all equations; and of
+    # X by which a projection moves.
     CONSTRAINT_ROWS, LEFT_ROW, WALK_ROW, SCHUR_ROW, LOWER_ROW, SCALED_ROW, VECTOR_ROWS, OFF_ROW,
     HEADER,
 ) = range(52)  # fmt: skip
@@ -53,8 +53,8 @@ CONNECTION_KIND, NODE, OTHER, ON_JOINT, COLUMN, ROW, ELEMENT = range(7)
 PATH_NODE, ON_PATH, MOVES, FORCED, STEP = range(5)
 # An equation's numbers: the first equation in its row of S, and the row of S at equation 0.
 ENVELOPE, AT, EQUATION = range(3)
-# A pair's numbers: two constraints, the place and number of the stretches of freedoms on both paths.
-# A stretch: its beginnings on both paths, and its length.
+# A pair's numbers: two constraints, the place and number of the stretches of freedoms on both
+# paths. A stretch: its beginnings on both paths, and its length.
 AFTER, BEFORE, STRETCHES, COUNT, PAIR = range(5)
 ON_AFTER, ON_BEFORE, STRETCH = 0, 1, 3
 # Vectors of all equations: J V̇ − η, mobilities, reciprocals of D, L⁻¹(J V̇ − η), 1 for dependent

@@ -33,6 +33,7 @@ from lierb.kernels.systems.plan import AnyPlan, MechanismPlan
 from lierb.kernels.systems.signals import states_of
 from lierb.kernels.systems.tree_inputs import first_of_joint, inputs_of, state_columns
 
+
 @lru_cache(64)
 def table_of(plan: MechanismPlan) -> tuple[NDArray[np.int64], int]:
     """Return a plan's table, and the number of rows of a thread's memory."""
@@ -45,8 +46,8 @@ def table_of(plan: MechanismPlan) -> tuple[NDArray[np.int64], int]:
     header[[at.NODES, at.FREEDOMS, at.LINKS, at.JOINTS]] = numbers
     header[at.ROOTS] = sum(node.parent == GROUND for node in plan.tree)
     names = {at.JOINT_COLUMN: "0.ground_frame", at.GRAVITY_COLUMN: "gravity"}
-    for place, name in (names | {at.START_COLUMN: "0.pose"}).items():
-        header[place] = inputs[name].start
+    for column, name in (names | {at.START_COLUMN: "0.pose"}).items():
+        header[column] = inputs[name].start
     extra = size_of(states_of(plan))
     state = state_columns(count, extra)
     header[[at.CHART_COLUMN, at.V_COLUMN, at.STATES_COLUMN]] = [
@@ -66,11 +67,12 @@ def table_of(plan: MechanismPlan) -> tuple[NDArray[np.int64], int]:
         at.ERRORS_ROW: len(JOINT_ERRORS) * errors, at.SUMS_ROW: at.SUMS,
         at.LOADS_ROW: 6 * (count + 1), at.WRENCH_ROW: 6 * (count + 1 + plan.loops),
         at.ELEMENT_ROWS: rows, at.TRAVEL_ROW: TRAVEL * plan.has_lane_clocks * len(elements),
-        **constraints.sizes, at.OFF_ROW: freedoms * bool(plan.constraints), at.AHEAD: ahead, at.COPY_ROW: ahead,
+        **constraints.sizes, at.OFF_ROW: freedoms * bool(plan.constraints),
+        at.AHEAD: ahead, at.COPY_ROW: ahead,
     }  # fmt: skip
     end = 0
-    for name, size in sizes.items():
-        header[name], end = end, end + size
+    for section, size in sizes.items():
+        header[section], end = end, end + size
     header[at.STATE] = charts + freedoms
     header[at.AHEAD] = header[at.AHEAD] - header[at.CHART_ROW] if plan.has_lane_clocks else 0
     header[at.END_COLUMNS] = sum(map(sum, map(_stored, kinds))) + extra
@@ -87,7 +89,10 @@ def table_of(plan: MechanismPlan) -> tuple[NDArray[np.int64], int]:
 
 
 def _fill_in(
-    plan: MechanismPlan, joints: list[JointKind], header: NDArray[np.int64], nodes: NDArray[np.int64]
+    plan: MechanismPlan,
+    joints: list[JointKind],
+    header: NDArray[np.int64],
+    nodes: NDArray[np.int64],
 ) -> None:
     """Fill in the numbers of all nodes but their slots."""
     kinds = [joint.kind for joint in joints]
