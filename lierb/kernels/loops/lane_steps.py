@@ -49,7 +49,7 @@ from lierb.kernels.stepping.lane_clock import (
     trial_of,
 )
 from lierb.kernels.stepping.method import Interval
-from lierb.kernels.stepping.runge_kutta import method_of
+from lierb.kernels.stepping.method_of import method_of
 from lierb.kernels.stepping.step_size import (
     Tolerances,
     squared_correction,
@@ -91,7 +91,7 @@ def next_trial(plan: AnyPlan, body: Any, lanes: Lanes, stop: Any, active: Any) -
         stop = minimum(stop, time)
     for time in system_of(plan).jumps(body):
         stop = sooner(lanes, stop, time)
-    if plan.embedded is not None:
+    if plan.is_adaptive:
         longest = longest_step(plan, body, lanes.state, lanes.state, clock.t, clock.h)
         stop = stop if longest is None else minimum(stop, clock.t + longest)
     return trial_of(plan, clock, stop, active)
@@ -128,19 +128,18 @@ class Made(NamedTuple):
 def attempted(plan: AnyPlan, body: Any, lanes: Lanes, trial: Trial, limits: Tolerances) -> Made:
     """Try a step."""
     state, body = lanes.state, with_rank(plan, body, lanes.record)
-    is_continuous = plan.interpolates and plan.extension is not None
-    all_stages = is_continuous or plan.embedded is not None
+    all_stages = plan.is_continuous or plan.is_adaptive
     at = Interval(*inside(plan, trial), trial.h)
     made = method_of(plan).step(system_of(plan), body, state, at, all_stages)
     square: Any = ZERO
     correction: Any = ZERO
-    if plan.embedded is not None:
+    if plan.is_adaptive:
         square = squared_error(plan, body, state, made.state, made.slopes, trial.h, limits)
         is_first = lanes.clock.steps + lanes.clock.ahead < 0.5
         correction = squared_correction(
             plan, body, state, made.stabilised, trial.h, limits, is_first
         )
-    slopes = made.slopes if is_continuous else ()
+    slopes = made.slopes if plan.is_continuous else ()
     return Made(made.state, slopes, made.singular, square, correction)
 
 
@@ -175,7 +174,7 @@ def decided(
         square = where(too_large & (made.correction > square), made.correction, square)
         singular = where(too_large, 1.0, singular)
     clock, longest = lanes.clock, None
-    if plan.embedded is not None:
+    if plan.is_adaptive:
         longest = longest_step(plan, body, lanes.state, moved, clock.t, clock.h)
     verdict = judged(plan, clock, trial, fine, singular, square, longest, limits, active)
     return Decision(verdict.accepted, verdict.failed, lanes._replace(clock=verdict.clock))

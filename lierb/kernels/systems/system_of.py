@@ -42,7 +42,8 @@ def takes_small_angle_steps(plan: AnyPlan) -> bool:
     They must not call functions that may raise.
     """
     calls = any(not f.is_traced for element in plan.acting for f in element.functions)
-    return plan.update == "local" and not calls and system_of(plan).takes_small_angle_steps
+    is_plain = plan.is_explicit and plan.update == "local" and not calls
+    return is_plain and system_of(plan).takes_small_angle_steps
 
 
 @lru_cache(256)

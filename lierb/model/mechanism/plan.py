@@ -137,7 +137,7 @@ def why_unrolled(plan: MechanismPlan) -> str:
         "joints whose motions are no group": any(node.rows for node in plan.tree),
         "functions that are called body by body": plan.calls_functions,
         f'update="{plan.update}"': plan.update != "local",
-        "a commutator-free method": bool(plan.exponentials),
+        "this method": not plan.is_explicit or plan.has_exponentials,
     }
     return next((reason for reason, applies in reasons.items() if applies), "")
 
