@@ -22,7 +22,7 @@ from lierb.kernels.systems.tree_loop_steps import LoopSteps
 from lierb.kernels.systems.tree_memory import LoopBody, MemoryNode, MemoryTree
 from lierb.kernels.tracing.arrays import Index
 from lierb.kernels.tracing.lanes import Lane
-from lierb.kernels.tracing.memory import for_each
+from lierb.kernels.tracing.memory import accumulated, for_each
 
 
 class LoopProjection(LoopSteps):
@@ -40,13 +40,13 @@ class LoopProjection(LoopSteps):
         tree = self._tree(body)
         self._run("project", body, self._project, time, h, *self._scales(body)[:2])
         sums = tree.section(at.SUMS_ROW)
-        mark = sums[at.SINGULAR]
+        kept, mark = state._replace(v_or_mu=(sums[at.TOTAL],)), sums[at.SINGULAR]
         if not self.plan.has_lane_clocks:
-            return Stabilised(state._replace(v_or_mu=(sums[0],)), mark)
-        kept = state._replace(v_or_mu=(sums[at.SPEED],))
+            return Stabilised(kept, mark)
         return Stabilised(kept, mark, sums[0:2], sums[2:4])
 
     def _project(self, tree: MemoryTree, time: Any, h: Lane, dropped: Lane, length: Lane) -> None:
+        """Move pose and velocity of the next state; store the total, the mark and the squares."""
         sums, correction = tree.section(at.SUMS_ROW), tree.rows(self._correction(tree))
         way, mark = self._project_pose(tree, time, dropped, length)
         now = self._size(tree, tree[at.V_ROW] + tree[at.AHEAD], length)
@@ -62,11 +62,10 @@ class LoopProjection(LoopSteps):
         velocity = tree.rows(tree[at.V_ROW] + tree[at.AHEAD])
         count = tree[at.FREEDOMS]
         for_each(count, lambda i: velocity.put(i, velocity[i] + correction[i]))
+        numbers = tree.rows(tree[at.CHART_ROW] + tree[at.AHEAD])
+        (total,) = accumulated(tree[at.STATE], (sums.zero,), lambda i, x: (x[0] + numbers[i],))
         sums.put(at.SINGULAR, mark)
-        total = tree.rows(tree[at.CHART_ROW] + tree[at.AHEAD])
-        place = at.SPEED if self.plan.has_lane_clocks else 0
-        sums.put(place, 0.0)
-        for_each(tree[at.STATE], lambda i: sums.put(place, sums[place] + total[i]))
+        sums.put(at.TOTAL, total)
         if self.plan.has_lane_clocks:
             x, v, off = (tree.section(name) for name in (at.X_ROW, at.STAGE_ROW, at.OFF_ROW))
             for_each(count, lambda i: x.put(i, off[i]))

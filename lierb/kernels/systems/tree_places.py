@@ -62,6 +62,7 @@ ON_AFTER, ON_BEFORE, STRETCH = 0, 1, 3
 EXCESS, MOBILITY, INVERSE, REDUCED, IS_DEPENDENT, MULTIPLIERS, SECOND, RATE, VECTORS = range(9)
 # Rows of sums over all nodes: energy, orthogonality error, largest errors of the joints, power;
 # then 1 where rows contradict each other; numbers of dependent rows by the tolerance of rounding,
-# and by that of open rows where it is needed; the square of a speed, see `LoopProjection`.
+# and by that of open rows where it is needed; of a projection, the square of the speed before the
+# step and the sum of all numbers of the state.
 ENERGY, ORTHOGONALITY, ERRORS, POWER = 0, 1, 2, 2 + len(JOINT_ERRORS)
-SINGULAR, DEPENDENT, DROPPED, SPEED, SUMS = range(POWER + 1, POWER + 6)
+SINGULAR, DEPENDENT, DROPPED, SPEED, TOTAL, SUMS = range(POWER + 1, POWER + 7)
