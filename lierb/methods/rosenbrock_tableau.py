@@ -13,14 +13,14 @@ from numpy.typing import ArrayLike
 from lierb.errors import ArgumentError, brief
 from lierb.kernels.systems.scheme import Embedded, Extension, RosenbrockScheme
 from lierb.methods.checks import MOST_STAGES, require_both, require_order, row_of
-from lierb.methods.method import Method, floats, lower_triangle
+from lierb.methods.method import StagedMethod, floats, lower_triangle
 
 # Sums of coefficients up to 165 with 15 digits.
 _TOLERANCE = 1e-12
 
 
 @dataclass(frozen=True)
-class RosenbrockTableau(Method):
+class RosenbrockTableau(StagedMethod):
     """A Rosenbrock method, for stiff systems: linear equations in each step, no iteration.
 
     With the Jacobian J of f at the start of a step, its stages are (1 − γhJ) k_i = γ (f(t + α_i h,
@@ -81,7 +81,7 @@ class RosenbrockTableau(Method):
     dense_order: int | None = None
 
     updates = ("local",)
-    is_explicit = False
+    needs_derivatives = True
     dense_A = ()
 
     @classmethod

@@ -20,13 +20,13 @@ from lierb.methods.checks import (
     row_of,
     rows_of,
 )
-from lierb.methods.method import Method, floats
+from lierb.methods.method import StagedMethod, floats
 
 __all__ = ["MOST_STAGES", "ButcherTableau"]
 
 
 @dataclass(frozen=True)
-class ButcherTableau(Method):
+class ButcherTableau(StagedMethod):
     """An explicit Runge–Kutta method: k_i = f(t + c_i h, y + h Σ_j A_ij k_j), y ← y + h Σ b_i k_i.
 
     Parameters

@@ -15,14 +15,24 @@ from lierb.kernels.numbers.arithmetic import (
     real,
     where,
 )
-from lierb.kernels.numbers.zero import ZERO
+from lierb.kernels.numbers.zero import ZERO, is_zero
 from lierb.kernels.stepping.method import Interval
 from lierb.kernels.stepping.method_of import method_of
 from lierb.kernels.systems.plan import AnyPlan
-from lierb.kernels.systems.state import NON_FINITE, OK, RAISED, SINGULAR, State
+from lierb.kernels.systems.state import NO_CONVERGENCE, NON_FINITE, OK, RAISED, SINGULAR, State
 from lierb.kernels.systems.system_of import system_of, takes_small_angle_steps
 from lierb.kernels.tracing import calls
 from lierb.kernels.tracing.trace import kernel
+
+
+def begin(plan: AnyPlan, body: Any, state: State, record: Record, time: Any, h: Any) -> State:
+    """Return the state with the numbers that the method carries, unless they are known."""
+    if not state.carried:
+        return state
+    at, body = Interval(time, h, h), with_rank(plan, body, record)
+    begun = method_of(plan).started(system_of(plan), body, state, at).carried
+    pairs = zip(state.carried, begun, strict=True)
+    return state._replace(carried=tuple(where(x == x, x, y) for x, y in pairs))
 
 
 def advance(
@@ -59,16 +69,21 @@ def _advanced(
     invariant: tuple[int, ...],
 ) -> tuple[State, Record]:
     body = with_rank(plan, body, record)
-    moved, singular = _stepped(plan, body, state, time, h, invariant)
+    moved, singular, unsolved = _stepped(plan, body, state, time, h, invariant)
     # One angle that is not finite makes all of Q so.
     turns, places = system_of(plan).turns_and_places(moved.chart)
     numbers = (*turns, *moved.v_or_mu, *moved.x, *places, moved.work)
     fine = are_finite(*numbers) & (singular <= 0.5)
+    if not is_zero(unsolved):
+        fine = fine & (unsolved <= 0.5)
     if plan.calls_functions:
         fine = fine & (calls.exception_flags(record.status) == calls.CLEAR)
 
     def failed() -> Any:
-        now = where(singular > 0.5, float(SINGULAR), where(fine, float(OK), float(NON_FINITE)))
+        now = where(fine, float(OK), float(NON_FINITE))
+        if not is_zero(unsolved):
+            now = where(unsolved > 0.5, float(NO_CONVERGENCE), now)
+        now = where(singular > 0.5, float(SINGULAR), now)
         alive = record.status == OK
         if plan.calls_functions:
             known = calls.exception_flags(record.status)
@@ -95,8 +110,11 @@ def _advanced(
 
 def _stepped(
     plan: AnyPlan, body: Any, state: State, time: Any, h: Any, invariant: tuple[int, ...]
-) -> tuple[State, Any]:
-    """Make a step with the invariant components of V as structural zeros."""
+) -> tuple[State, Any, Any]:
+    """Make a step with the invariant components of V as structural zeros.
+
+    Return the state, and 1 where the step is singular, and where it is unsolved.
+    """
     before = state.v_or_mu
     moving = tuple(ZERO if i in invariant else v for i, v in enumerate(before))
     state = state._replace(v_or_mu=moving)
@@ -104,7 +122,7 @@ def _stepped(
     moved, singular = made.state, made.singular
     pairs = zip(before, moved.v_or_mu, strict=True)
     after = tuple(v if i in invariant else x for i, (v, x) in enumerate(pairs))
-    return moved._replace(v_or_mu=after), singular
+    return moved._replace(v_or_mu=after), singular, made.unsolved
 
 
 def has_invariant(plan: AnyPlan, h: Any) -> Any:
@@ -145,7 +163,7 @@ def advance_small_angles(
     if not takes_small_angle_steps(plan):
         return state, all_lanes(h < h)  # never
     with assumptions(h) as conditions:
-        moved, singular = _stepped(plan, body, state, time, h, system_of(plan).invariant)
+        moved, singular, _ = _stepped(plan, body, state, time, h, system_of(plan).invariant)
     _, places = system_of(plan).turns_and_places(moved.chart)
     fine = are_finite(*moved.v_or_mu, *places, moved.work) & (singular <= 0.5)
     for condition in conditions:  # false for an angle that is not finite
@@ -158,7 +176,7 @@ def tidy(plan: AnyPlan, body: Any, state: State) -> State:
 
 
 for _formula in (
-    advance, advance_invariant, has_invariant, is_invariant, has_small_angles, advance_small_angles,
-    tidy,
+    begin, advance, advance_invariant, has_invariant, is_invariant, has_small_angles,
+    advance_small_angles, tidy,
 ):  # fmt: skip
     kernel(_formula)

@@ -16,6 +16,7 @@ from lierb.kernels.loops.advance import (
     advance,
     advance_invariant,
     advance_small_angles,
+    begin,
     has_invariant,
     has_small_angles,
     is_invariant,
@@ -145,6 +146,7 @@ def integrate_blocks(plan, inputs, counter, jobs):
             record = initial_record(plan, body, state)
             if resumes:
                 record = resumed_record(plan, inputs, record)
+            state = begin(plan, body, state, record, time_of(clock, 0), clock.dt)
         invariant = is_invariant(plan, state, clock.dt)
         while True:
             if fresh:

@@ -111,7 +111,7 @@ class Made(NamedTuple):
     """Result of a trial.
 
     slopes : slopes of the stages, if there is a continuous extension.
-    singular : 1 in a singular configuration.
+    singular : 1 in a singular configuration.   unsolved : 1 where an iteration has not converged.
     square, correction : squares of the error and of the stabilisation's correction, relative to
         the tolerances.
     """
@@ -119,6 +119,7 @@ class Made(NamedTuple):
     state: State
     slopes: Any
     singular: Any
+    unsolved: Any
     square: Any
     correction: Any
 
@@ -138,7 +139,7 @@ def attempted(plan: AnyPlan, body: Any, lanes: Lanes, trial: Trial, limits: Tole
             plan, body, state, made.stabilised, trial.h, limits, is_first
         )
     slopes = made.slopes if plan.is_continuous else ()
-    return Made(made.state, slopes, made.singular, square, correction)
+    return Made(made.state, slopes, made.singular, made.unsolved, square, correction)
 
 
 class Decision(NamedTuple):
@@ -167,6 +168,8 @@ def decided(
     turns, places = system_of(plan).turns_and_places(moved.chart)
     numbers = (*turns, *moved.v_or_mu, *moved.x, *places, moved.work, *moved.states)
     fine = are_finite(*numbers) & (singular <= 0.5)
+    if not is_zero(made.unsolved):
+        fine = fine & (made.unsolved <= 0.5)
     if not is_zero(made.correction):
         too_large = made.correction > 1.0
         square = where(too_large & (made.correction > square), made.correction, square)
@@ -174,7 +177,9 @@ def decided(
     clock, longest = lanes.clock, None
     if plan.is_adaptive:
         longest = longest_step(plan, body, lanes.state, moved, clock.t, clock.h)
-    verdict = judged(plan, clock, trial, fine, singular, square, longest, limits, active)
+    verdict = judged(
+        plan, clock, trial, fine, singular, made.unsolved, square, longest, limits, active
+    )
     return Decision(verdict.accepted, verdict.failed, lanes._replace(clock=verdict.clock))
 
 

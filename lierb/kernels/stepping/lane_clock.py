@@ -18,7 +18,7 @@ from lierb.kernels.numbers.arithmetic import (
     rint,
     where,
 )
-from lierb.kernels.numbers.zero import ZERO
+from lierb.kernels.numbers.zero import ZERO, is_zero
 from lierb.kernels.stepping.clock import TIDY_EVERY
 from lierb.kernels.stepping.step_size import (
     EPS,
@@ -30,7 +30,16 @@ from lierb.kernels.stepping.step_size import (
 )
 from lierb.kernels.systems.layout import LANE_END
 from lierb.kernels.systems.plan import AnyPlan
-from lierb.kernels.systems.state import DT_MIN, MAX_STEPS, NON_FINITE, OK, RAISED, SINGULAR, State
+from lierb.kernels.systems.state import (
+    DT_MIN,
+    MAX_STEPS,
+    NO_CONVERGENCE,
+    NON_FINITE,
+    OK,
+    RAISED,
+    SINGULAR,
+    State,
+)
 from lierb.kernels.tracing import calls
 
 INF = float("inf")
@@ -183,6 +192,7 @@ def judged(
     trial: Trial,
     fine: Any,
     singular: Any,
+    unsolved: Any,
     square: Any,
     longest: Any,
     limits: Tolerances,
@@ -191,7 +201,8 @@ def judged(
     """Accept or reject a step, and choose the next one.
 
     fine : mask of states that are finite and not singular.
-    singular : 1 where a step that cannot be shortened fails with SINGULAR.
+    singular, unsolved : 1 where a step that cannot be shortened fails with SINGULAR, with
+        NO_CONVERGENCE.
     square : square of the error.
     longest : longest step that elements allow at the velocity at its end, s; None for any.
     """
@@ -199,7 +210,10 @@ def judged(
     raised = running & ~running
     if plan.calls_functions:
         raised = running & (calls.exception_flags(clock.t) > calls.SUPPRESSED)
-    worse = where(singular > 0.5, float(SINGULAR), float(NON_FINITE))
+    worse: Any = float(NON_FINITE)
+    if not is_zero(unsolved):
+        worse = where(unsolved > 0.5, float(NO_CONVERGENCE), worse)
+    worse = where(singular > 0.5, float(SINGULAR), worse)
     if not plan.is_adaptive:
         return _fixed(clock, trial, fine, worse, raised, running)
     steps = clock.steps

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any, NamedTuple, Protocol
 
 from lierb.kernels.numbers.vec import Vec
+from lierb.kernels.numbers.zero import ZERO
 from lierb.kernels.systems.state import Slopes, Stabilised, State
 from lierb.kernels.systems.system import AnySystem
 
@@ -32,12 +33,14 @@ class Step(NamedTuple):
     slopes : rates of the stages, for error estimates and dense output.
     singular : 1 where a stage has a singular configuration.
     stabilised : the state at the end, with the corrections by stabilisation.
+    unsolved : 1 where an iteration has not converged.
     """
 
     state: State
     slopes: Slopes
     singular: Any
     stabilised: Stabilised
+    unsolved: Any = ZERO
 
 
 class Defect(NamedTuple):
@@ -55,6 +58,9 @@ class Defect(NamedTuple):
 
 class Method(Protocol):
     """One-step method for any system.   state : at the start of a step.   at : its interval."""
+
+    def started(self, system: AnySystem, body: Any, state: State, at: Interval) -> State:
+        """Return the state with the numbers that the method carries before its first step."""
 
     def step(
         self, system: AnySystem, body: Any, state: State, at: Interval, all_stages: bool = False

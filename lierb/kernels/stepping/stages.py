@@ -10,7 +10,7 @@ from lierb.kernels.numbers.vec import Vec
 from lierb.kernels.numbers.zero import ZERO, is_zero
 from lierb.kernels.stepping.method import Defect, Interval, Step
 from lierb.kernels.systems.combine import weighted
-from lierb.kernels.systems.scheme import Scheme, Stages
+from lierb.kernels.systems.scheme import StagedScheme, Stages
 from lierb.kernels.systems.state import Factors, Slopes, State, Units, Weights
 from lierb.kernels.systems.system import AnySystem
 
@@ -19,7 +19,7 @@ from lierb.kernels.systems.system import AnySystem
 class StageMethod:
     """Method with stages, without the equations from which each kᵢ follows; see `Method`."""
 
-    scheme: Scheme
+    scheme: StagedScheme
 
     def with_stages(
         self,
@@ -32,6 +32,9 @@ class StageMethod:
     ) -> tuple[Slopes, Any]:
         """Return the slopes with those of further stages, and 1 where any stage is singular."""
         raise NotImplementedError
+
+    def started(self, system: AnySystem, body: Any, state: State, at: Interval) -> State:
+        return state
 
     def step(
         self, system: AnySystem, body: Any, state: State, at: Interval, all_stages: bool = False

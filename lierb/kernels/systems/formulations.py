@@ -46,11 +46,16 @@ class SaddlePoint(OneBody):
 
     @property
     def takes_small_angle_steps(self) -> bool:
-        return bool(self.invariant) and len(self.plan.method.stages) <= SMALL_ANGLE_STAGES
+        return bool(self.invariant) and self.plan.method.length <= SMALL_ANGLE_STAGES
 
     @cached_property
     def invariant(self) -> tuple[int, ...]:
-        """Components of V that stay zero if zero: those fixed by rows constant in body axes."""
+        """Components of V that stay zero if zero: those fixed by rows constant in body axes.
+
+        There are none if a method finds V by iteration, which leaves rounding errors.
+        """
+        if not self.plan.has_stages:
+            return ()
         fixed = fixed_axes(self.plan.rows)
         holds = self.plan.cspace == "SE3" and holds_a_point(self.plan.rows)
         return (*fixed, 3, 4, 5) if holds else fixed
@@ -201,4 +206,4 @@ FORMULATIONS: dict[str, type[SaddlePoint | Subgroup]] = {
 
 def is_short(plan: Plan) -> bool:
     """Return whether a step has few stages and the joint few degrees of freedom."""
-    return len(plan.method.stages) * (6 - len(plan.rows)) <= 12
+    return plan.method.length * (6 - len(plan.rows)) <= 12

@@ -44,7 +44,7 @@ from lierb.kernels.systems.body_inputs import (
     parameters_of,
     rows_alone,
 )
-from lierb.kernels.systems.combine import StateArithmetic
+from lierb.kernels.systems.combine import NAN, StateArithmetic
 from lierb.kernels.systems.layout import INPUTS, STATE, Columns, Field, inputs_of
 from lierb.kernels.systems.measures import Observed, measured
 from lierb.kernels.systems.plan import Plan
@@ -96,7 +96,12 @@ class OneBody(StateArithmetic):
 
     @cached_property
     def state(self) -> Columns:
-        return Columns(*STATE.fields, Field("states", (size_of(states_of(self.plan)),)))
+        carried = self.plan.method.carried(len(self.plan.rows))
+        return Columns(
+            *STATE.fields,
+            Field("states", (size_of(states_of(self.plan)),)),
+            Field("carried", (carried,)),
+        )
 
     def body(self, numbers: list[Any]) -> BodyConstants:
         plan = self.plan
@@ -130,13 +135,17 @@ class OneBody(StateArithmetic):
         _, velocity = self.plan.space.to_joint_axes(frames, pose, twist)
         _, v_or_mu = self.settled(body, frames, twist, chart, velocity)
         x = tuple(0.0 * v for v in velocity)
-        return self.structured(State(chart, x, v_or_mu, 0.0 * body.mass), body.pitch)
+        nothing = 0.0 * body.mass
+        carried = (nothing + NAN,) * self.plan.method.carried(len(self.plan.rows))  # not yet known
+        state = State(chart, x, v_or_mu, nothing, carried=carried)
+        return self.structured(state, body.pitch)
 
     def state_of(self, numbers: Sequence[Any], body: BodyConstants | None = None) -> State:
         parts = self.state.parts(numbers)
         chart = (parts["p"], parts["d"])
         (work,) = parts["work"]
-        state = State(chart, parts["x"], parts["v_or_mu"], work, parts["states"])
+        own = parts["states"], parts["carried"]
+        state = State(chart, parts["x"], parts["v_or_mu"], work, *own)
         return self.structured(state, 1.0 if body is None else body.pitch)
 
     def with_gain(self, body: BodyConstants) -> BodyConstants:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import Any
@@ -32,14 +33,11 @@ class Extension:
 
 @dataclass(frozen=True, kw_only=True)
 class Scheme:
-    """Coefficients of a method with stages: kᵢ at y + h Σ stages[i][j] kⱼ, end at y + h Σ bᵢ kᵢ.
+    """Coefficients of a one-step method.
 
-    stages : strictly lower triangle of a matrix, row by row; rows for the error estimate are last.
-    weights : b.
+    embedded, extension : error estimate and continuous extension; None without these.
     """
 
-    stages: Stages
-    weights: tuple[float, ...]
     embedded: Embedded | None = None
     extension: Extension | None = None
 
@@ -53,6 +51,36 @@ class Scheme:
     @property
     def described(self) -> dict[str, Any]:
         """Arguments of the class in `lierb.methods` that make the same method."""
+        raise NotImplementedError
+
+    @property
+    def length(self) -> float:
+        """Number of stages in the code of a step; infinite for a method without stages."""
+        return math.inf
+
+    def carried(self, rows: int) -> int:
+        """Return how many numbers a step passes on to the next one, beside the state.
+
+        rows : number of the system's constraint rows.
+        """
+        return 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class StagedScheme(Scheme):
+    """Coefficients of a method with stages: kᵢ at y + h Σ stages[i][j] kⱼ, end at y + h Σ bᵢ kᵢ.
+
+    stages : strictly lower triangle of a matrix, row by row; rows for the error estimate are last.
+    weights : b.
+    """
+
+    stages: Stages
+    weights: tuple[float, ...]
+
+    __hash__ = Scheme.__hash__
+
+    @property
+    def described(self) -> dict[str, Any]:
         numbers: dict[str, Any] = {"A": self.stages, "b": self.weights}
         if self.embedded is not None:
             numbers |= {"error": self.embedded.weights, "error_order": self.embedded.order}
@@ -61,13 +89,17 @@ class Scheme:
         return numbers
 
     @property
+    def length(self) -> float:
+        return len(self.stages)
+
+    @property
     def last_stage(self) -> int:
         """Number of stages needed without error estimate and dense output."""
         return max(i for i, weight in enumerate(self.weights, 1) if weight != 0.0)
 
 
 @dataclass(frozen=True, kw_only=True)
-class ExplicitScheme(Scheme):
+class ExplicitScheme(StagedScheme):
     """Explicit Runge–Kutta method with the matrix A and weights b of its Butcher tableau.
 
     exponentials : rows of weights of a commutator-free method, for each stage, then for the end.
@@ -88,7 +120,7 @@ class ExplicitScheme(Scheme):
 
 
 @dataclass(frozen=True, kw_only=True)
-class RosenbrockScheme(Scheme):
+class RosenbrockScheme(StagedScheme):
     """Rosenbrock method: (1 − γhJ) kᵢ = γ (f(t + αᵢ h, y + h Σ Aᵢⱼ kⱼ) + Σ Cᵢⱼ kⱼ + γᵢ h ∂f/∂t).
 
     stages : A.   couplings : C.   nodes, late : αᵢ and γᵢ.
@@ -104,3 +136,52 @@ class RosenbrockScheme(Scheme):
     @property
     def described(self) -> dict[str, Any]:
         return {**super().described, "C": self.couplings, "gamma": self.gamma}
+
+
+@dataclass(frozen=True, kw_only=True)
+class VerletScheme(Scheme):
+    """Variational Störmer–Verlet method, composed of substeps.
+
+    shares : lengths of the substeps, as fractions of the step.
+    """
+
+    shares: tuple[float, ...]
+
+    __hash__ = Scheme.__hash__
+
+    @property
+    def described(self) -> dict[str, Any]:
+        return {"shares": self.shares}
+
+
+@dataclass(frozen=True, kw_only=True)
+class RattleScheme(Scheme):
+    """RATTLE on a Lie group, which has no coefficients."""
+
+    __hash__ = Scheme.__hash__
+
+    @property
+    def described(self) -> dict[str, Any]:
+        return {}
+
+
+@dataclass(frozen=True, kw_only=True)
+class AlphaScheme(Scheme):
+    """Generalised α method.
+
+    rho : ρ∞, the amplification of infinitely fast oscillations.
+    index : 3, position constraints alone, or 2, velocity constraints as well.
+    """
+
+    rho: float
+    index: int
+
+    __hash__ = Scheme.__hash__
+
+    @property
+    def described(self) -> dict[str, Any]:
+        return {"rho": self.rho, "index": self.index}
+
+    def carried(self, rows: int) -> int:
+        """V̇ (6), a (6) and λ."""
+        return 12 + rows

@@ -20,6 +20,7 @@ class State(NamedTuple):
     v_or_mu : V (n,), rad/s and m/s; on a subgroup the momentum μ.
     work : work of all forces without potential, J; structurally zero if there are none.
     states : the user's extra states, concatenated.
+    carried : numbers that the method passes on from step to step.
     """
 
     chart: Any
@@ -27,6 +28,7 @@ class State(NamedTuple):
     v_or_mu: Vec
     work: Any = ZERO
     states: Vec = ()
+    carried: Vec = ()
 
 
 class Rates(NamedTuple):
@@ -88,4 +90,4 @@ class Stabilised(NamedTuple):
     v_or_mu: Vec = ()
 
 
-OK, SINGULAR, NON_FINITE, RAISED, MAX_STEPS, DT_MIN, EVENT = range(7)
+OK, SINGULAR, NON_FINITE, RAISED, NO_CONVERGENCE, MAX_STEPS, DT_MIN, EVENT = range(8)

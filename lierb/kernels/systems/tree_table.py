@@ -29,6 +29,7 @@ from lierb.kernels.numbers.arithmetic import flatten
 from lierb.kernels.numbers.zero import is_zero
 from lierb.kernels.systems.measures import JOINT_ERRORS, JOINT_KEPT
 from lierb.kernels.systems.plan import AnyPlan, ElementKind, MechanismPlan
+from lierb.kernels.systems.scheme import StagedScheme
 from lierb.kernels.systems.tree_inputs import first_of_joint, inputs_of, placed_on, state_columns
 
 # Header: numbers of nodes (without the ground), freedoms and links; columns of the inputs;
@@ -170,6 +171,7 @@ def joint_kind_of(plan: MechanismPlan, i: int) -> JointKind:
 
 def slopes_of(plan: AnyPlan) -> int:
     """Number of slopes of a step; those of a state at rest in memory come behind."""
+    assert isinstance(plan.method, StagedScheme)
     extension = plan.method.extension
     return len(plan.method.stages) + (len(extension.stages) if extension else 0)
 
