@@ -3,15 +3,24 @@
 from __future__ import annotations
 
 from lierb.errors import require_name
-from lierb.methods import classical, commutator_free, dop853, pairs, rosenbrock, verner
+from lierb.methods import (
+    classical,
+    commutator_free,
+    dop853,
+    pairs,
+    rosenbrock,
+    structure_preserving,
+    verner,
+)
 from lierb.methods.checks import MOST_STAGES
 from lierb.methods.method import Method
 from lierb.methods.rosenbrock_tableau import RosenbrockTableau
+from lierb.methods.structure_preserving import generalised_alpha
 from lierb.methods.tableau import ButcherTableau
 
 __all__ = [
     "METHODS", "MOST_STAGES", "TABLEAUS", "ButcherTableau", "Method", "RosenbrockTableau",
-    "method_named",
+    "generalised_alpha", "method_named",
 ]  # fmt: skip
 
 TABLEAUS: dict[str, ButcherTableau] = {
@@ -20,8 +29,9 @@ TABLEAUS: dict[str, ButcherTableau] = {
     for tableau in file.METHODS
 }
 METHODS: dict[str, Method] = {
-    **TABLEAUS, **{tableau.name: tableau for tableau in rosenbrock.METHODS}
-}  # fmt: skip
+    **TABLEAUS,
+    **{each.name: each for file in (rosenbrock, structure_preserving) for each in file.METHODS},
+}
 
 
 def method_named(method: str | Method) -> Method:

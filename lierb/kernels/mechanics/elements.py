@@ -101,6 +101,11 @@ class Element:
     rows: int = 0
 
     @property
+    def depends_on_velocity(self) -> bool:
+        """Return False if the wrench is a function of pose and time alone, for all parameters."""
+        return self.is_users or not self.is_conservative or bool(self.working)
+
+    @property
     def functions(self) -> tuple[Function, ...]:
         """User's functions of the element."""
         members = (getattr(self, name, None) for name in ("function", "potential"))

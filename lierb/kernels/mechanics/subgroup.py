@@ -31,6 +31,14 @@ def slots_of(rows: Rows) -> Slots:
     return tuple(bound[i] if i in bound else next(free) for i in range(6))
 
 
+def is_commutative(slots: Slots) -> bool:
+    """Return whether all motions of H commute: it does not turn, or about and along one axis."""
+    turns, slides = slots[:3], slots[3:]
+    if turns == (FIXED,) * 3:
+        return True
+    return turns[:2] == (FIXED, FIXED) and slides[:2] == (FIXED, FIXED)
+
+
 def lifted(slots: Slots, nu: Vec, pitch: Number) -> Vec:
     """Return V = N ν, with structural zeros."""
     components: list[Number] = [nu[slot] if slot >= 0 else ZERO for slot in slots]
