@@ -31,6 +31,7 @@ from lierb.runs.options import Options
 from lierb.runs.output import Output
 from lierb.runs.provenance import provenance
 from lierb.runs.starts import Ready, ready
+from lierb.runs.stiff_runs import warn_of_stiff_run
 from lierb.runs.stiffness import warn_of_stiff_steps
 from lierb.support.arrays import Array
 from lierb.support.progress import Progress, check_progress
@@ -40,7 +41,7 @@ def integrate(
     problem: Problem | Mechanism,
     *,
     # the start
-    twist0: ArrayLike | Mapping[str, ArrayLike],
+    twist0: ArrayLike | Mapping[str, ArrayLike] | None = None,
     pose0: Any = None,
     # time and steps
     dt: float | None = None,
@@ -79,8 +80,9 @@ def integrate(
     ----------
     problem : Problem or Mechanism
         The body with its joint and forces, or the mechanism; batched or shared.
-    twist0 : array_like, shape (6,) or (n, 6), or dict of them
+    twist0 : array_like, shape (6,) or (n, 6), or dict of them, optional
         Body-fixed twist (ω, v) at t0, rad/s and m/s; see `Joint.twist` and `Mechanism.twist`.
+        Default: at rest.
     pose0 : array_like or RigidTransform, shape (4, 4) or (n, 4, 4), or dict of them, optional
         Pose at t0. Default: the closed joint; for a mechanism `Mechanism.pose()`, all coordinates
         0.
@@ -111,9 +113,9 @@ def integrate(
         Times, s, in ascending order, at which a function of t jumps or has a kink. A step ends at
         each of these times, and the stages of a step evaluate the function on their own side of it.
         Times that differ between trajectories are parameters of a `lierb.wrench`. Default: none.
-    method : str or ButcherTableau, optional
-        A name of `lierb.TABLEAUS`, or a tableau. Adaptive steps need an embedded method. Default:
-        "RK4"; with adaptive steps "DOP853".
+    method : str or Method, optional
+        A name of `lierb.methods.METHODS`, a `ButcherTableau` or a `RosenbrockTableau`. Adaptive
+        steps need an embedded method. Default: "RK4"; with adaptive steps "DOP853".
     cspace : {"SE3", "SO3xR3", "reduced"} or dict, optional
         Configuration space. "SE3": screw motions. "SO3xR3": rotation and position decoupled.
         "reduced": the joint's own subgroup of SE(3), without constraints (Müller, eqs. 3a, b),
@@ -189,7 +191,7 @@ def integrate(
         trajectories are unaffected.
     StiffStepWarning
         Fixed steps exceed the method's stability bound for the stiffness or damping of a force of
-        `lierb.forces`. The run continues.
+        `lierb.forces`, or stability limits adaptive steps. The run continues.
 
     Notes
     -----
@@ -259,6 +261,7 @@ def integrate_model(
             prepared.plan, prepared.inputs, prepared.times, "state" in options.record, threads,
             progress, check,
         )  # fmt: skip
+        warn_of_stiff_run(prepared, output, stacklevel=stacklevel + 1)
         result = _result(prepared, output, described())
     except MemoryError as error:
         raise no_room(prepared) from error
