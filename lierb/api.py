@@ -114,8 +114,9 @@ def integrate(
         each of these times, and the stages of a step evaluate the function on their own side of it.
         Times that differ between trajectories are parameters of a `lierb.wrench`. Default: none.
     method : str or Method, optional
-        A name of `lierb.methods.METHODS`, a `ButcherTableau` or a `RosenbrockTableau`. Adaptive
-        steps need an embedded method. Default: "RK4"; with adaptive steps "DOP853".
+        A name of `lierb.methods.METHODS`, a `ButcherTableau`, a `RosenbrockTableau` or a
+        `generalised_alpha`. Adaptive steps need an embedded method. Default: "RK4"; with adaptive
+        steps "DOP853".
     cspace : {"SE3", "SO3xR3", "reduced"} or dict, optional
         Configuration space. "SE3": screw motions. "SO3xR3": rotation and position decoupled.
         "reduced": the joint's own subgroup of SE(3), without constraints (Müller, eqs. 3a, b),
