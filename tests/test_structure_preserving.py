@@ -240,6 +240,60 @@ def test_smooth_residuals_have_the_gradient_j(name, cspace):
         np.testing.assert_allclose(slope, np.reshape(rows, (-1, 6)) @ direction, atol=1e-9)
 
 
+@lierb.constraint
+def bowl(R, r):
+    return r[2] - 0.5 * (r[0] ** 2 + 2.0 * r[1] ** 2), R[2, 0]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "cspace"), [("RATTLie", "SE3"), ("alpha2", "SO3xR3")])
+def test_constraints_of_a_users_hold_and_have_the_order(name, cspace):
+    """A bead in a bowl, with an axis kept horizontal; DOP853 solves the saddle point."""
+    bead = lierb.Problem(box(), lierb.joints.free(), GRAVITY, constraints=bowl())
+    pose = np.eye(4)
+    pose[:3, 3] = (0.3, 0.1, 0.05)
+    pose = bead.close(pose)
+    start = {"pose0": pose, "twist0": bead.project((0.3, 0.2, 2.0, 0.5, -0.3, 0.0), pose)}
+    exact = integrate(bead, **start, dt=1e-3, t_end=1.0, method="DOP853")
+    errors = []
+    for dt in (0.02, 0.01, 0.005):
+        run = integrate(bead, **start, dt=dt, t_end=1.0, method=name, cspace=cspace)
+        multipliers = [column(each.history, "lambda")[-1] for each in (run, exact)]
+        off = [final(run, each) - final(exact, each) for each in ("position", "omega")]
+        errors.append([np.abs(x).max() for x in (*off, multipliers[0] - multipliers[1])])
+        x, y, z = final(run, "position")
+        assert abs(z - 0.5 * (x**2 + 2.0 * y**2)) < 1e-14
+        assert abs(final(run, "rotation").reshape(3, 3)[2, 0]) < 1e-14
+    np.testing.assert_allclose(slopes(errors), 2.0, atol=0.15)
+
+
+@pytest.mark.slow
+def test_rows_that_say_a_thing_twice_are_singular():
+    held = lierb.joints.spherical()
+
+    @lierb.constraint
+    def again(R, r):
+        return r[2]
+
+    body = lierb.Problem(box(), held, constraints=again())
+    with pytest.warns(FailedTrajectoryWarning, match="rows that do not say a thing twice"):
+        run = lierb.integrate(
+            body, twist0=held.twist(omega=(1.0, 0.0, 0.0)), dt=0.01, t_end=0.1, method="RATTLie"
+        )
+    assert run.summary["status"].to_pylist() == ["singular"]
+
+
+@pytest.mark.slow
+def test_convergence_compares_the_families():
+    problem, twist0 = box_top()
+    names = ("Verlet", "RATTLie", "alpha2")
+    found = lierb.convergence(problem, names, (1e-2, 5e-3), twist0=twist0, t_end=0.5, repeats=1)
+    for name in names:
+        assert found.order(name, quantity="error.rotation") == pytest.approx(2.0, abs=0.05)
+    counts = found.table["evaluations"].to_pylist()
+    assert counts == [100, 200, 100, 200, None, None]  # the iteration of α evaluates forces
+
+
 @pytest.mark.parametrize("name", ["spherical", "planar", "schoenflies"])
 def test_rattle_is_verlet_on_a_subgroup(name):
     """On SE(3) both are the same discrete Lagrangian system."""
@@ -459,7 +513,7 @@ def test_options_that_a_method_cannot_take_are_refused(method, name, options, me
 
 
 def test_models_that_a_method_cannot_take_are_refused():
-    problem, twist0 = tilted("spherical")
+    problem, _ = tilted("spherical")
     link = lierb.Link("box", problem.body, problem.joint)
     mechanism = lierb.Mechanism(link)
 
@@ -471,15 +525,20 @@ def test_models_that_a_method_cannot_take_are_refused():
     def level(R, r):
         return r[2]
 
-    run = {"dt": 0.01, "t_end": 0.2, "method": "RATTLie"}
+    run = {"dt": 0.01, "t_end": 0.2, "twist0": np.zeros(6)}
     with pytest.raises(ArgumentError, match="for a mechanism take an explicit"):
-        lierb.integrate(mechanism, twist0=mechanism.twist({"box": (0.1, 0.0, 0.0)}), **run)
+        lierb.integrate(mechanism, dt=0.01, t_end=0.2, method="RATTLie")
     with_state = lierb.Problem(problem.body, problem.joint, states=[heat()])
     with pytest.raises(ArgumentError, match="the motion alone, not the states of heat"):
-        lierb.integrate(with_state, twist0=twist0, **run)
+        lierb.integrate(with_state, method="RATTLie", **run)
     held = lierb.Problem(problem.body, problem.joint, constraints=[level()])
-    with pytest.raises(ArgumentError, match="constraints of the joint alone, but level is one"):
-        lierb.integrate(held, twist0=np.zeros(6), **run)
+    with pytest.raises(ArgumentError, match="no constraints beside the joint's, but level is one"):
+        lierb.integrate(held, method="Verlet", **run)
+    driven = lierb.Problem(
+        problem.body, lierb.joints.revolute(), forces=lierb.forces.motor(speed=1.0)
+    )
+    with pytest.raises(ArgumentError, match="constraints of the pose, but motor prescribes"):
+        lierb.integrate(driven, method="alpha2", **run)
 
 
 @pytest.mark.parametrize(

@@ -31,12 +31,14 @@ class Limits(NamedTuple):
     """Systems and runs to which a method is limited: one body, without extra states.
 
     systems : phrase for messages.   solver : solver of its system.
-    cspaces : configuration spaces.   cuts_steps : True if steps may differ in length.
+    cspaces : configuration spaces.   takes_constraints : True if it satisfies constraints beside
+    those of the joint.   cuts_steps : True if steps may differ in length.
     """
 
     systems: str
     solver: str
     cspaces: tuple[str, ...]
+    takes_constraints: bool
     cuts_steps: bool
 
 

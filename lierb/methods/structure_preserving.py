@@ -24,6 +24,7 @@ ON_SUBGROUPS = Limits(
     systems="one body on a joint whose motions are a subgroup of SE(3)",
     solver="subgroup",
     cspaces=("SE3", "reduced"),
+    takes_constraints=False,
     cuts_steps=True,
 )
 
@@ -31,6 +32,7 @@ WITH_CONSTRAINTS = Limits(
     systems="one body on a joint",
     solver="saddle",
     cspaces=("SE3", "SO3xR3"),
+    takes_constraints=True,
     cuts_steps=True,
 )
 

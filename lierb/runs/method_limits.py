@@ -72,11 +72,15 @@ def _check_limits(method: Method, limits: Limits, model: Model, timing: Timing) 
             f"{name} integrates the motion alone, not the states of {model.states[0].name}; take "
             "an explicit method or a Rosenbrock method"
         )
-    for element in model.elements:
-        if element.kind.rows:
+    for row in model.rows:
+        if not row.is_holonomic:
             raise ArgumentError(
-                f"{name} has the constraints of the joint alone, but {element.name} is one more; "
-                "take an explicit method or a Rosenbrock method"
+                f"{name} is for constraints of the pose, but {row} prescribes a speed; take an "
+                "explicit method or a Rosenbrock method"
+            )
+        if not (row.is_of_joint or limits.takes_constraints):
+            raise ArgumentError(
+                f"{name} has no constraints beside the joint's, but {row} is one; take RATTLie"
             )
     if timing.is_of_lanes and not limits.cuts_steps:
         raise ArgumentError(
