@@ -67,6 +67,11 @@ def _check_limits(method: Method, limits: Limits, model: Model, timing: Timing) 
             f"{name} is for {limits.systems}, a lierb.Problem; for a mechanism take an explicit "
             "method or a Rosenbrock method"
         )
+    if limits.solver == "subgroup" and not (model.joint.subgroup and model.joint.rows):
+        raise ArgumentError(
+            f"{name} needs a joint whose motions are a proper subgroup of SE(3), not a "
+            f"{model.joint.name} joint; RATTLie takes every joint"
+        )
     if model.states:
         raise ArgumentError(
             f"{name} integrates the motion alone, not the states of {model.states[0].name}; take "
