@@ -1,1 +1,1 @@
-"""Predictions, completion groups, orders of convergence, comparisons, the paper's section 5."""
+"""Analyse methods: predictions, completion groups, orders, comparisons, the paper's section 5."""

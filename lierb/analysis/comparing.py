@@ -1,4 +1,4 @@
-"""`convergence`: comparison of methods on c-spaces, over steps or tolerances."""
+"""`convergence` is a comparison of methods on c-spaces, over steps or tolerances."""
 
 from __future__ import annotations
 
