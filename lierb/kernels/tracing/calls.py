@@ -228,7 +228,7 @@ class Marks:
 
 
 class _Python:
-    """With the JIT off, one body is integrated at a time, with one mark."""
+    """Hold the mark and exceptions with the JIT off, which integrates one body at a time."""
 
     mark = float(CLEAR)
     exceptions: ClassVar[dict[int, Exception]] = {}
