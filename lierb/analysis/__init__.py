@@ -1,1 +1,1 @@
-"""Analyse methods: predictions, completion groups, orders, comparisons, the paper's section 5."""
+"""Predict and compare methods: completion groups, orders of convergence, the paper's section 5."""

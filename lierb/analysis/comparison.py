@@ -38,7 +38,7 @@ NAME = "comparison"  # name of the files
 
 @dataclass(frozen=True, repr=False)
 class Comparison(Represented):
-    """A comparison of methods, c-spaces and steps is returned by `lierb.convergence`.
+    """`lierb.convergence` returns a comparison of methods, c-spaces and steps.
 
     Attributes
     ----------

@@ -16,7 +16,7 @@ FLOOR = ".floor"  # suffix of a column with the smallest error that exceeds roun
 
 @dataclass(frozen=True)
 class Observed:
-    """Represent the observed order of a quantity, for a method on a c-space.
+    """Hold the observed order of a quantity, for a method on a c-space.
 
     Attributes
     ----------

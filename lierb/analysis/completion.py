@@ -262,7 +262,10 @@ def _pure_translations(algebra: Array) -> Array:
 
 
 def _drift(algebra: Array, shifts: Array) -> float:
-    """Return the largest translation with a rotation of the algebra, modulo pure translations."""
+    """Return the largest translation that accompanies a rotation of the algebra.
+
+    The translation is modulo pure translations.
+    """
     rest = algebra[:, 3:] - algebra[:, 3:] @ shifts.T @ shifts
     return float(np.abs(rest).max(initial=0.0))
 

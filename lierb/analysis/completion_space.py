@@ -1,4 +1,4 @@
-"""A mechanism's c-space has configurations, rows, Jacobians for `lierb.analysis.completion`.
+"""`lierb.analysis.completion` takes a mechanism's c-space as configurations, rows, Jacobians.
 
 A configuration has a pose for each node of the integrated tree, and the group is the direct product
 of the nodes' groups. The pose of an absolute node is that of its link's joint frame in a common
@@ -69,7 +69,7 @@ class RowValues(NamedTuple):
 
 
 class Space:
-    """Represent the c-space of a mechanism, with lengths in units of the mechanism's length.
+    """The lengths of a mechanism's c-space are in units of the mechanism's length.
 
     length : m.   rows : holonomic rows of all places.
     """

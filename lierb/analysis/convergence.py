@@ -1,4 +1,4 @@
-"""Determine the order of convergence from errors at several steps, and a verdict on it."""
+"""Determine the order of convergence from errors at several steps, and give a verdict on it."""
 
 from __future__ import annotations
 

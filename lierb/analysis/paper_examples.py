@@ -1,4 +1,4 @@
-"""The examples of section 5 of Müller's paper are data.
+"""The examples of section 5 of Müller's paper are given as data.
 
 A. Müller, "A note on the motion representation and configuration update in time stepping schemes
 for the constrained rigid body", BIT Numerical Mathematics 56 (2016), 995-1015.

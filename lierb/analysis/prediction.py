@@ -69,7 +69,7 @@ class Prediction:
 
 
 class Predictions(dict[str, Prediction]):
-    """The predictions for each c-space print as a table."""
+    """Hold the prediction for each c-space, and print as a table."""
 
     def __str__(self) -> str:
         return _table(HEAD, [_table_row(p) for p in self.values()])
@@ -111,7 +111,7 @@ class JointPredictions(dict[str, Prediction]):
 
 
 class MechanismPredictions(dict[str, JointPredictions]):
-    """The JointPredictions for each c-space print as a table, joint by joint."""
+    """Hold the JointPredictions for each c-space, and print as a table, joint by joint."""
 
     def __str__(self) -> str:
         names = list(next(iter(self.values())))

@@ -26,7 +26,7 @@ MOST_BYTES = 1 << 29  # in one folder, about 2500 kernels; the oldest by use are
 
 
 class DiskCache(NullCache):
-    """The disk cache of a function's compiled code is used in place of Numba's."""
+    """The disk cache of a function's compiled code replaces Numba's."""
 
     def __init__(self, function: Callable[..., Any]) -> None:
         self._function = function

@@ -136,7 +136,7 @@ class _Reader(pickle.Unpickler):
 
 
 def compiler_that_translates_once(tags: type[types.Type]) -> type[CompilerBase]:
-    """Return a pipeline class for njit that translates and inlines a function's code once.
+    """Return the pipeline class for njit that translates and inlines Python code once.
 
     Numba translates bytecode and inlines callees again for each list of argument types, in a tenth
     of the time to a kernel. The result does not depend on arguments of type `tags`: it is stored in

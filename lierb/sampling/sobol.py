@@ -19,7 +19,7 @@ WALKED_BITS = 12  # bits of a point's number up to which SciPy's points are comp
 
 @dataclass(frozen=True)
 class Sobol:
-    """A Sobol sequence is scrambled by a seed.
+    """The Sobol sequence is scrambled by a seed.
 
     size : number of points, up to 2³².   coordinates : of each point.
     """

@@ -50,7 +50,7 @@ def _for_traces(value: Any) -> Any:
 
 
 class _Copier:
-    """A copier copies functions and replaces the objects that they refer to.
+    """A copier replaces the objects that the copied functions refer to.
 
     helper : replaces users' functions.   known : replaces objects of known packages.
     container : replaces lists, dictionaries and sets, from (name, copy of the container).

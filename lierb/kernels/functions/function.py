@@ -136,7 +136,7 @@ class Function:
         return tuple(shape for _, shape in (*self.arguments, *self.shapes, *body, *signals))
 
     def samples(self) -> list[Any]:
-        """Return Zero arguments in the order of the function's signature."""
+        """Return zero arguments in the order of the function's signature."""
         return self._bundled(repeat(0.0), np.array)
 
     def _bundled(self, flat: Iterable[Any], array: Callable[[Any], Any]) -> list[Any]:

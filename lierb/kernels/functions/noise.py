@@ -148,7 +148,10 @@ def digest(name: str) -> tuple[int, int]:
 
 
 def philox(counter: Sequence[Any], key: Sequence[Any]) -> tuple[Any, ...]:
-    """Compute four random words of 32 bits by Philox-4x32-10.   counter : four.   key : two."""
+    """Compute Philox-4x32-10, four random words of 32 bits.
+
+    counter : four words.   key : two words.
+    """
     a, b, c, d = counter
     first, second = key
     for _ in range(ROUNDS):

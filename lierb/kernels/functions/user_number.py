@@ -131,7 +131,7 @@ class UserNumber(Dual):
 
 
 class Condition:
-    """A comparison of numbers is true or false for each body.
+    """A condition, the result of a comparison, is true or false for each body.
 
     &, |, ^ and ~ combine conditions, and arithmetic takes one as 1 or 0, as in NumPy.
     """

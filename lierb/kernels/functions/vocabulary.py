@@ -1,4 +1,4 @@
-"""Rotations, bounds and tables are provided for users' functions.
+"""lierb provides functions for users' functions: rotations, bounds, tables.
 
 Each function takes traced numbers and NumPy arrays of any batch shape. In users' functions that run
 body by body, Numba compiles it.

@@ -1,4 +1,4 @@
-"""An ambient update steps SE(3) in the algebra of dual quaternions.
+"""An ambient update of SE(3) works in the algebra of dual quaternions.
 
 The motion since the chart C₀ is a dual quaternion 1 + Y = u + ε w, which need not be of unit
 length. Its rate is linear in it, Ẏ = ½ (1 + Y) V, so that a step needs neither exp nor dexp⁻¹. The

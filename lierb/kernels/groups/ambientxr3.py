@@ -1,4 +1,4 @@
-"""An ambient update steps SO(3)×R³ with quaternions of any length, as in `ambient`.
+"""An ambient update of SO(3)×R³ works with quaternions of any length, as in `ambient`.
 
 Y has eight numbers, so that both groups have the same columns: u − 1, zero, and s/2 of the
 displacement s.

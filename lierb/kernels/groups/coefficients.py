@@ -201,7 +201,7 @@ def _half_anywhere(z: Number) -> Vec:
 
 
 def _half_entire(z: Number) -> Vec:
-    """Compute the functions up to π.
+    """Compute the functions for angles up to π.
 
     They follow from a = (1 − cos φ)/φ² and g = (sinc φ − cos φ)/φ²; 4c₀ = g/sinc φ.
     """

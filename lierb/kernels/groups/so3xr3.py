@@ -1,4 +1,4 @@
-"""SO(3)×R³ is a direct product.
+"""SO(3)×R³ is the direct product of rotations and translations.
 
 C = (R, r); X = (ξ, η) and V = (ω, ṙ), angular part first.
 

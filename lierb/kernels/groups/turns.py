@@ -1,4 +1,4 @@
-"""A rotation about one axis has (c, s e), cosine and sine, for the quaternion (w, v) of SE(3).
+"""A rotation about one axis in SE(3) is stored as (c, s e), cosine and sine, for (w, v).
 
 The functions are those of `quaternion`, with Y = X/2 for X, at half the operations.
 """

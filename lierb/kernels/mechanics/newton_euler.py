@@ -55,7 +55,10 @@ Turn = Callable[[Vec], Vec]  # transforms a vector's components to other axes
 
 
 class Parameters(NamedTuple):
-    """A body and its joint are in the user's frames; SI units, rotation matrices row by row."""
+    """The parameters of a body and its joint are in the user's frames.
+
+    Units are SI; rotation matrices are row by row.
+    """
 
     mass: Any
     inertia: Mat  # about the body frame's origin
@@ -152,7 +155,7 @@ class Kinematics(NamedTuple):
         return Motion(self.time, self.q, self.d, self.omega, self.point_rate)
 
     def translation(self, ground: Vec, body: Vec) -> Vec:
-        """Return the translational part of a row along a direction, in ground and in body axes."""
+        """Return the translational part of a row along a direction in ground and in body axes."""
         return body if self.is_body_fixed else ground
 
     def at_point(self) -> Kinematics:

@@ -40,7 +40,7 @@ def rounding_of(p: Parameters, pose: Pose) -> Any:
 
 
 class PoseTolerances(NamedTuple):
-    """A start's pose has tolerances: largest position and rotation error, and ℓ."""
+    """Hold the tolerances of a start's pose: largest position and rotation error, and ℓ."""
 
     length: Number  # ℓ, m
     position: Number  # m
@@ -48,7 +48,7 @@ class PoseTolerances(NamedTuple):
 
 
 class TwistTolerances(NamedTuple):
-    """A start's twist has tolerances."""
+    """Hold the tolerances of a start's twist."""
 
     velocity: Number  # m/s
     rotation_rate: Number  # rad/s

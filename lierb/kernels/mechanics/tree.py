@@ -113,7 +113,7 @@ class Connection:
 
 
 class NodeConstants(NamedTuple):
-    """A node has constants in joint axes.
+    """Hold the constants of a node, in joint axes.
 
     rigid : mass, first moment and inertia about the joint's point.
     inertia : inertia about the centre of mass.   com : centre of mass.
@@ -167,7 +167,7 @@ class TreeConstants(NamedTuple):
 
 
 class Relative(NamedTuple):
-    """A connection's inner frame moves relative to the outer one.
+    """Hold the motion of a connection's inner frame relative to the outer one.
 
     x : kinematics for rows.
     seat : the inner frame in the other node's frame, or in the ground's.
@@ -345,7 +345,7 @@ class TreeMotion:
         return Kinematics(d[0], d[1], omega, ZERO3, v, ZERO3, True, self.time)
 
     def _fork(self, i: int, other: int) -> int:
-        """Return the last common ancestor of nodes, or one of them; GROUND for absolute nodes."""
+        """Return the last common ancestor of two nodes or one of them; GROUND if absolute."""
         above = [GROUND]
         while other != GROUND and self.nodes[i].is_reduced:
             above.append(other)
@@ -408,9 +408,9 @@ class TreeMotion:
 
 
 def carried_bias(turning: Vec, swept: Vec, relative: Vec) -> Vec:
-    """Return b, the centripetal and Coriolis part.
+    """Return b, the centripetal and Coriolis part of an acceleration.
 
-    It is that for a frame with twist `relative` on a turning frame.
+    The frame with twist `relative` is on a turning frame.
 
     turning : ω′.   swept : ω′ × p.   All three are in the moving frame's axes.
     """

@@ -274,7 +274,10 @@ class Solved(NamedTuple):
     bias: dict[int, Vec]
 
     def transmitted(self, bodies: Bodies, i: int) -> Vec:
-        """Return a joint's wrench on its node, about the node's frame, without multipliers."""
+        """Return the wrench of a joint on its node, about the node's frame.
+
+        The multipliers of the joint's rows are not included.
+        """
         return add(bodies.transmitted(i, self.response), self.bias.get(i, ZERO6))
 
 

@@ -22,7 +22,7 @@ class Response(NamedTuple):
 
 
 class NodeRow(NamedTuple):
-    """A row is on the accelerations of two nodes: push·A − pull·A_other = wanted.
+    """A row constrains the accelerations of two nodes: push·A − pull·A_other = wanted.
 
     push, pull : the row as wrenches about the nodes' frames.   fall : see `Relative`.
     stiffness : s, for a row of the joint that connects `node` to its parent `other`.

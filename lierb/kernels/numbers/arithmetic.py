@@ -299,7 +299,7 @@ def rounded_as_numpy(number: Number) -> Iterator[None]:
 
 @contextmanager
 def assumptions(number: Number) -> Iterator[list[Mask]]:
-    """Assume in a context that masks that formulas pass to `taken_for_granted` hold.
+    """Assume, in a context, that the masks passed to `taken_for_granted` hold.
 
     Yields the list of these masks, which the caller checks. Where all hold, the bits are those of
     the formula without assumptions.   number : as in `rounded_as_numpy`.

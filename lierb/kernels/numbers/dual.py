@@ -188,7 +188,7 @@ def parts_of(x: Number) -> tuple[Any, ...]:
 
 
 def side_by_side(*numbers: Number) -> Iterator[tuple[Any, ...]]:
-    """Yield the parts of several numbers by direction; zeros for a number without parts."""
+    """Return the parts of several numbers by direction; zeros for a number without parts."""
     parts = [parts_of(x) for x in numbers]
     nothing = (ZERO,) * max(map(len, parts))
     return zip(*(p or nothing for p in parts), strict=True)

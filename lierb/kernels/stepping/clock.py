@@ -31,9 +31,9 @@ class Clock(Protocol):
 
 
 class StepClock(NamedTuple):
-    """The clock has `steps` steps of `dt` s, and intervals of measurement and saving in steps.
+    """The clock has `steps` steps of `dt` s.
 
-    0 steps: never.
+    The intervals of measurement and of saving are in steps (0: never).
 
     origin, first_step : the start is `first_step` steps after `origin`, s. A continued run counts
         on, so that its times and its renormalisation are the same as without a break.

@@ -61,7 +61,7 @@ class Span(NamedTuple):
 
 
 class LaneClock(NamedTuple):
-    """Each lane has a clock.
+    """Hold the clock of a lane.
 
     t : current time, s.   h : length of the next step unless it is cut short, s.
     anchor, counted : fixed steps are counted from `anchor`, s.
@@ -262,8 +262,9 @@ def _fixed(
 
 
 def to_tidy(clock: LaneClock, fresh: Any, termination: Any) -> Any:
-    """Return where the pose is to be renormalised: every TIDY_EVERY steps, counted over continued
-    runs.
+    """Return where the pose is to be renormalised.
+
+    It is every TIDY_EVERY steps, counted over continued runs.
     """
     counted = clock.steps + clock.ahead
     turns = is_multiple(counted, float(TIDY_EVERY))

@@ -1,4 +1,4 @@
-"""The protocol of a one-step method has its arguments and its results."""
+"""A protocol describes one-step methods, their arguments and their results."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from lierb.kernels.systems.system import AnySystem
 
 
 class Interval(NamedTuple):
-    """An interval is that of a step.
+    """Hold the interval of a step.
 
     time, span : beginning and length for functions of time, s. They differ from those of the step
         if an element jumps at its ends.
@@ -54,7 +54,7 @@ class Defect(NamedTuple):
 
 
 class Method(Protocol):
-    """A one-step method is for any system.
+    """A one-step method works for any system.
 
     state : at the start of a step.   at : its interval.
     """
@@ -65,7 +65,7 @@ class Method(Protocol):
         """Make a step by h.   all_stages : also those only for error estimate and dense output."""
 
     def defects(self, system: AnySystem, body: Any, slopes: Slopes, h: Any) -> tuple[Defect, ...]:
-        """Return the error estimates of a step with these slopes, the highest order first."""
+        """Return the step's error estimates with these slopes, the one of highest order first."""
 
     def extended(
         self, system: AnySystem, body: Any, state: State, at: Interval, slopes: Slopes

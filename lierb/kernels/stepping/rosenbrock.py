@@ -1,4 +1,4 @@
-"""Rosenbrock methods step (X, V, W, s) in the chart of each step, without iteration.
+"""Rosenbrock methods integrate (X, V, W, s) in the chart of each step, without iteration.
 
 They are for stiff systems.
 

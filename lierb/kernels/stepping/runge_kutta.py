@@ -1,4 +1,4 @@
-"""Explicit Runge–Kutta methods step (X, V, W, s), with any Butcher tableau.
+"""Explicit Runge–Kutta methods integrate (X, V, W, s), with any Butcher tableau.
 
 Ẋ = dexp⁻¹_{−X} V and V̇ = F(X, V)  (Müller, eqs. 4a, b), with C = C₀ exp X. `local` update
 (Munthe-Kaas): X starts at 0 in every step, structurally. `global` (the paper's): X continues, and

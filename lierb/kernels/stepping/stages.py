@@ -17,7 +17,7 @@ from lierb.kernels.systems.system import AnySystem
 
 @dataclass(frozen=True)
 class StageMethod:
-    """A method with stages lacks the equations from which each kᵢ follows; see `Method`."""
+    """This base of methods with stages lacks the equations for each kᵢ; see `Method`."""
 
     scheme: Scheme
 

@@ -55,7 +55,7 @@ DOP853_MIX = 0.01  # weight of E₃² in the error of a method with two estimate
 
 
 class Tolerances(NamedTuple):
-    """Steps have tolerances and limits.
+    """Hold the tolerances and limits of steps.
 
     dt : length of the first adaptive step, 0 to choose it, or of all fixed steps, s.
     rtol, …_atol : tolerances of each block, rad, m, rad/s, m/s, and units of the extra states.

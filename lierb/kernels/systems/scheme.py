@@ -11,7 +11,7 @@ Stages = tuple[tuple[float, ...], ...]  # rows of weights of the stages before
 
 @dataclass(frozen=True)
 class Embedded:
-    """A step has an error estimate.
+    """An embedded method estimates the error of a step.
 
     weights : one row, b − b̂, or two rows, E₅ and E₃ of DOP853.   order : order of b̂.
     """
@@ -69,7 +69,7 @@ class Scheme:
 
 @dataclass(frozen=True, kw_only=True)
 class ExplicitScheme(Scheme):
-    """An explicit Runge–Kutta method has matrix A and weights b of its Butcher tableau.
+    """An explicit Runge–Kutta method has the matrix A and weights b of its Butcher tableau.
 
     exponentials : rows of weights of a commutator-free method, for each stage, then for the end.
     """

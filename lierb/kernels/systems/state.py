@@ -12,7 +12,9 @@ Factors = tuple[Weights, ...]  # weights of a commutator-free method, one row fo
 
 
 class State(NamedTuple):
-    """A state has pose, velocity, work, extra states; n = 6 for a body, or a mechanism's node.
+    """A state has pose, velocity, work and extra states.
+
+    n = 6 for a body, 6 for each node of a mechanism.
 
     chart : C₀, a unit quaternion and a position (m); for a mechanism, a tuple with one per node.
     x : X/2 (n,), rad and m, with the pose C = C₀ exp X; in an ambient update Y within a step, with

@@ -129,7 +129,7 @@ class System(Protocol[Body, Motion]):
         """
 
     def tidied(self, body: Body, chart: Any) -> Any:
-        """Remove accumulated rounding: unit quaternions, screw joints on their subgroup."""
+        """Remove rounding: normalise quaternions, put screw joints on their subgroup."""
 
     def stabilised(self, body: Body, before: State, state: State, time: Any, h: Any) -> Stabilised:
         """Project a state onto its constraints.   before : state h seconds earlier.   time : s."""

@@ -18,10 +18,7 @@ from lierb.kernels.systems.tree_system import TreeFormulation
 
 @lru_cache(256)
 def in_memory(plan: AnyPlan) -> TreeLoop:
-    """Return the system of a looped plan, which has what steps of one length need.
-
-    It stores its results.
-    """
+    """Return the system of a looped plan, for steps of one length; it stores its results."""
     assert isinstance(plan, LoopPlan)
     return TreeLoop(plan)
 

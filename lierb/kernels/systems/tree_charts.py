@@ -1,4 +1,4 @@
-"""A mechanism's nodes have poses and velocities, and these an arithmetic.
+"""Compute with the poses and velocities of a mechanism's nodes.
 
 The state has a chart, X and a velocity for every node (`lierb.kernels.mechanics.tree`). On reduced
 coordinates they have the structural zeros of the joint's subgroup.
@@ -41,7 +41,7 @@ Charts = tuple[Chart, ...]  # one for each node
 
 @dataclass(frozen=True)
 class TreeCharts(StateArithmetic):
-    """Represent the state of a mechanism."""
+    """The state of a mechanism has a chart for each node."""
 
     plan: MechanismPlan
 

@@ -15,7 +15,7 @@ LINE = 8  # doubles in a cache line
 
 
 class Index(Traced):
-    """An index is a traced integer (intp), the index of an array's element."""
+    """A traced integer (intp) is the index of an array's element."""
 
     __slots__ = ()
 

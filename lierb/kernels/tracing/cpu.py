@@ -18,7 +18,7 @@ def _host_features() -> frozenset[str]:
 
 
 def _default_lanes() -> int:
-    """Return the number of doubles in a register: 8 with AVX-512, 4 with AVX, 2 otherwise."""
+    """Return a vector register's number of doubles: 8 with AVX-512, 4 with AVX, 2 otherwise."""
     override = os.environ.get("LIERB_LANES")
     if override is not None:
         if override not in {"1", "2", "4", "8"}:

@@ -53,7 +53,7 @@ def _constant_pack(lanes: int, digits: str) -> ir.Constant:
 
 
 class Trace:
-    """A trace has a state that all of its numbers share.
+    """All numbers of one trace share a state.
 
     builder : builder of the emitted LLVM code.   target : Numba's target context; None for a trace
     that is thrown away.   rounds_twice : True if `fma` rounds as in NumPy.   assumed : masks that
@@ -169,7 +169,7 @@ def trace_of_any(operands: Sequence[Any]) -> Trace:
 
 
 class Traced:
-    """A traced value has an LLVM value."""
+    """A traced value is backed by an LLVM value."""
 
     __slots__ = ("trace", "value")
     rank = 1

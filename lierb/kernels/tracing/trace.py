@@ -28,7 +28,7 @@ ITEMS = (types.float64, types.int64)  # of arrays that formulas take
 
 
 class LaneType(types.Type):
-    """The Numba type of a pack is that of `lanes` doubles."""
+    """This is the Numba type of a pack of `lanes` doubles."""
 
     def __init__(self, lanes: int) -> None:
         self.lanes = lanes

@@ -83,7 +83,7 @@ def _emits(instruction: str) -> Callable[[Words, Any], Words]:
 
 
 class Words:
-    """The traced words are one word of each lane."""
+    """A pack of words has a traced word of each lane."""
 
     __slots__ = ("trace", "value")
     __array_ufunc__ = None

@@ -1,4 +1,4 @@
-"""Compose the simple joints of a body to one joint of the catalogue.
+"""Compose the simple joints of a body into one joint of the catalogue.
 
 Files describe a joint with several degrees of freedom as a sequence of hinges, slides and balls,
 C = C₀ exp(S₁q₁) exp(S₂q₂) …, all in the axes of the body at q = 0. lierb has no massless bodies

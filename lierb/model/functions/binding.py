@@ -123,7 +123,7 @@ def _outputs_together(functions: tuple[Function, ...]) -> tuple[Shapes, ...]:
 
 
 def _outputs_or_unknown(function: Function, known: Shapes) -> tuple[Shapes | None, str]:
-    """Trace a controller; return its outputs, or None and an unknown output that it takes.
+    """Trace a controller; return its outputs, or None and the name of an unknown one it takes.
 
     known : known outputs of all controllers.
     """

@@ -1,4 +1,4 @@
-"""`lierb.constraint` makes constraints of users' functions."""
+"""`lierb.constraint` makes constraints from users' functions."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from lierb.model.functions.tracing import DERIVATIVES, POSE, user_function
 
 
 class Constraint(Element):
-    """`lierb.constraint` makes constraint rows in addition to those of the joint."""
+    """Constraint rows made by `lierb.constraint` are in addition to those of the joint."""
 
     words: ClassVar = "a constraint", "constraints"
 

@@ -20,7 +20,7 @@ from lierb.support.arrays import Array, Which, as_numbers, batch_size, items_at
 
 @dataclass(frozen=True, eq=False)
 class Element:
-    """An element is a force, a constraint, an observable or another function of the motion.
+    """A model's element is a force, a constraint, an observable or another function of motion.
 
     Attributes
     ----------

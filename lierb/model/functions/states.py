@@ -24,7 +24,7 @@ from lierb.model.functions.tracing import MOTION, by_name, described, runnable
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ExtraStates(NamedValues):
-    """`lierb.states` makes extra states, in addition to those of bodies."""
+    """Extra states made by `lierb.states` are in addition to those of bodies."""
 
     words: ClassVar = "states", "states"
     because: ClassVar = "it is integrated with the motion, of many at once"

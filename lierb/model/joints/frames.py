@@ -107,7 +107,7 @@ def _perpendicular(argument: str, value: ArrayLike, e3: Vec) -> Vec:
 def _any_perpendicular(e3: Vec) -> Vec:
     """Return a unit vector ⊥ e₃: the part of x normal to e₃, or of y if e₃ is near x.
 
-    An e₃ with |cos| ≥ 0.9 is near x.
+    Near means |cos| ≥ 0.9.
     """
     x_fits = np.abs(e3[0]) < 0.9
     chosen = (np.where(x_fits, 1.0, 0.0), np.where(x_fits, 0.0, 1.0), np.zeros_like(e3[2]))

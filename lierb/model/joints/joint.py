@@ -40,7 +40,7 @@ MOST_ROWS = 12  # twice the freedoms of a body: a joint may be stated twice, in 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Joint(Represented):
-    """A joint between the ground and the body is made by the entries of `lierb.joints`.
+    """A joint connects the body to the ground; the entries of `lierb.joints` make it.
 
     Attributes
     ----------
@@ -243,7 +243,7 @@ class Joint(Represented):
 
     @property
     def coordinate_names(self) -> tuple[str, ...]:
-        """Name the joint's coordinates, for the lower pairs, all motion groups, and products.
+        """Return the coordinates' names, for the lower pairs, all motion groups, and products.
 
         `phi`: angle about e₃, rad; `xi1` … `xi3`: rotation vector, rad, in the ground's joint
         frame; `d1` … `d3`: position of the body's joint frame in the ground's, m. A universal joint

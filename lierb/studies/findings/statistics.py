@@ -139,7 +139,7 @@ LEAST_ROWS = 4
 
 
 class _Index(NamedTuple):
-    """An index has a confidence interval."""
+    """Hold an index with its confidence interval."""
 
     value: float
     low: float

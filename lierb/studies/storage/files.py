@@ -1,4 +1,4 @@
-"""A part's Parquet files have their content, and names in the folder."""
+"""The Parquet files of a part have contents, and names in the folder."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def part_named(file: str) -> str | None:
 
 
 def parquet_in(folder: Path) -> Iterator[str]:
-    """Return all Parquet files in the tables' folders that a reader of the folder opens."""
+    """Yield all Parquet files in the tables' folders that a reader of the folder opens."""
     for table in TABLES:
         for root, inner, files in os.walk(folder / table):
             inner[:] = [name for name in inner if name[0] not in "._"]

@@ -42,7 +42,7 @@ class Part:
     count: int
 
     def work(self, study: Study) -> int:
-        """Return the work in body-steps, or in shares of trajectories that have own steps."""
+        """Return the work in body-steps, or in shares of trajectories with steps of their own."""
         if study.has_lane_clocks:
             return self.count * SHARES
         run = study.integrate
