@@ -1,4 +1,4 @@
-"""Compute accelerations and multipliers of one body from the saddle point."""
+"""Compute accelerations and multipliers of one body, from the saddle point of M and its rows."""
 
 from __future__ import annotations
 

@@ -50,7 +50,7 @@ class SaddlePoint(OneBody):
 
     @cached_property
     def invariant(self) -> tuple[int, ...]:
-        """Return the components of V that stay zero: rows constant in body axes fix them."""
+        """Return components of V that stay zero if zero: rows constant in body axes fix them."""
         fixed = fixed_axes(self.plan.rows)
         holds = self.plan.cspace == "SE3" and holds_a_point(self.plan.rows)
         return (*fixed, 3, 4, 5) if holds else fixed
