@@ -1,4 +1,4 @@
-"""Variational and generalised α methods, for docs/howto/structure.md.
+"""Measure variational and generalised α methods, for docs/howto/structure.md.
 
 python bench/structure_preserving.py       measure, store, print the tables
 

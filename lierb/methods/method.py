@@ -1,4 +1,4 @@
-"""Base classes of methods: of all, and of those with stages."""
+"""All methods, of any family, have the interface that a run reads."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ LARGEST = 200.0  # most decimal digits of |hλ|^stages, so that R does not overf
 
 
 class Limits(NamedTuple):
-    """Systems and runs to which a method is limited: one body, without extra states.
+    """Limits say to which systems and runs a method is confined: one body, without extra states.
 
     systems : phrase for messages.   solver : solver of its system.
     cspaces : configuration spaces.   takes_constraints : True if it satisfies constraints beside
@@ -43,7 +43,7 @@ class Limits(NamedTuple):
 
 
 class Method(ABC):
-    """One-step method.
+    """A one-step method, of any family, has the interface that a run reads.
 
     `lierb.methods.METHODS` has the methods of the catalogue by name.
     """
@@ -59,20 +59,20 @@ class Method(ABC):
 
     @property
     def evaluations(self) -> float:
-        """Number of right-hand sides of a step without error estimate; NaN if it varies."""
+        """Return the number of right-hand sides of a step without error estimate; NaN if it varies."""
         return math.nan
 
     @property
     def calibration(self) -> float:
-        """Ratio of the tolerance to the largest estimated error of a step."""
+        """Return the ratio of the tolerance to the largest estimated error of a step."""
         return 1.0
 
     @abstractmethod
     def amplification(self, z: Any) -> Any:
-        """Factor by which a step changes a mode e^(λt).   z : hλ, complex array."""
+        """Return the factor by which a step changes a mode e^(λt).   z : hλ, complex array."""
 
     def scheme(self, is_adaptive: bool, interpolates: bool) -> Scheme:
-        """Coefficients for the kernels, the same object for the same arguments.
+        """Return the coefficients for the kernels, the same object for the same arguments.
 
         is_adaptive : whether steps have an error estimate.
         interpolates : whether states between steps are needed.
@@ -88,7 +88,7 @@ class Method(ABC):
 
     @abstractmethod
     def scheme_of(self, embedded: Embedded | None, extension: Extension | None) -> Scheme:
-        """Coefficients for the kernels, with an error estimate and a continuous extension."""
+        """Return coefficients for the kernels, with an error estimate and continuous extension."""
 
     def _estimates(
         self, is_adaptive: bool, interpolates: bool
@@ -97,7 +97,7 @@ class Method(ABC):
 
 
 class StagedMethod(Method):
-    """One-step method with stages k_i, which ends a step at y + h Σ b_i k_i."""
+    """A one-step method has stages k_i and ends a step at y + h Σ b_i k_i."""
 
     A: Rows
     b: Sequence[float]
@@ -111,12 +111,12 @@ class StagedMethod(Method):
 
     @property
     def evaluations(self) -> float:
-        """Number of stages of a step without error estimate."""
+        """Return the number of stages of a step without error estimate."""
         return 1 + max(i for i, weight in enumerate(self.b) if weight)
 
     @cached_property
     def calibration(self) -> float:
-        """Ratio of the tolerance to the largest estimated error of a step.
+        """Return the ratio of the tolerance to the largest estimated error of a step.
 
         With this ratio, the error of a uniform rotation equals the tolerance after thirty turns.
         The ratio is at least 10; without `error` it is 1.
@@ -127,10 +127,10 @@ class StagedMethod(Method):
 
     @abstractmethod
     def linear_stages(self, z: Any) -> list[Any]:
-        """h k_i of a step of length h on ẏ = λy from y = 1.   z : hλ, complex."""
+        """Return h k_i of a step of length h on ẏ = λy from y = 1.   z : hλ, complex."""
 
     def amplification(self, z: Any) -> Any:
-        """Stability function R(z); of a Runge–Kutta method 1 + z bᵀ(1 − zA)⁻¹(1, …, 1)ᵀ.
+        """Return the stability function R(z); of a Runge–Kutta method 1 + z bᵀ(1 − zA)⁻¹(1, …, 1)ᵀ.
 
         z : hλ, scaled down if R would overflow.
         Hairer and Wanner, Solving Ordinary Differential Equations II, IV.2.

@@ -1,4 +1,4 @@
-"""Variational methods on subgroups and with constraints, and generalised α methods."""
+"""The methods here keep structure: variational ones, and generalised α with constraints."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ WITH_CONSTRAINTS = Limits(
 
 @dataclass(frozen=True)
 class Verlet(Method):
-    """The variational Störmer–Verlet method on the subgroup of a body's joint.
+    """Verlet's variational method steps a body on the subgroup of its joint.
 
     Substeps follow each other: with lengths (1,) times the step the method has order 2, with
     Suzuki's five lengths order 4, or 3 where forces depend on velocities.
@@ -76,7 +76,7 @@ class Verlet(Method):
 
 
 def oscillator_growth(z: Any, shares: tuple[float, ...]) -> Any:
-    """Growth in a step of Verlet's method of the oscillator with the modes e^(λt) and e^(λ̄t).
+    """Return the growth of the oscillator with modes e^(λt) and e^(λ̄t) in a step of Verlet's.
 
     It is the spectral radius of the step's matrix.   z : hλ.
     """
@@ -101,7 +101,7 @@ def oscillator_growth(z: Any, shares: tuple[float, ...]) -> Any:
 
 @dataclass(frozen=True)
 class Rattle(Method):
-    """RATTLE on the c-space of a body: the variational method with the joint's constraints.
+    """RATTLE steps a body on its c-space, with the joint's rows as constraints.
 
     Attributes
     ----------
@@ -133,7 +133,7 @@ class Rattle(Method):
 
 @dataclass(frozen=True)
 class GeneralisedAlpha(Method):
-    """A generalised α method on the c-space of a body; `generalised_alpha` makes one.
+    """A generalised α method steps a body on its c-space; `generalised_alpha` makes one.
 
     Attributes
     ----------
@@ -163,7 +163,7 @@ class GeneralisedAlpha(Method):
     limits = WITH_CONSTRAINTS._replace(cuts_steps=False)
 
     def amplification(self, z: Any) -> Any:
-        """1, a bound: the method is unconditionally stable."""
+        """Return 1, a bound: the method is unconditionally stable."""
         return np.ones(np.shape(z))
 
     def scheme_of(self, embedded: Embedded | None, extension: Extension | None) -> AlphaScheme:
@@ -171,7 +171,7 @@ class GeneralisedAlpha(Method):
 
 
 def generalised_alpha(*, rho: float = RHO, index: int = 3) -> GeneralisedAlpha:
-    """Generalised α method of index 3, or of stabilised index 2.
+    """Make a generalised α method of index 3, or of stabilised index 2.
 
     Index 3 satisfies the constraints of the position, at each step; the stabilised index 2 those
     of the velocity as well, by further multipliers. Both take all joints, on SE(3) and SO(3)×R³.

@@ -1,4 +1,4 @@
-"""Checks that a method can integrate a model."""
+"""Checks raise unless a method can integrate a model."""
 
 from __future__ import annotations
 

@@ -35,7 +35,7 @@ def residuals(rows: Rows, x: Kinematics, body: HeldBody) -> list[Number]:
 
 
 def smooth_residuals(rows: Rows, x: Kinematics, body: HeldBody) -> list[Number]:
-    """Value h of every row, with the gradient J wherever all are zero.
+    """Return the value h of every row, with the gradient J wherever all are zero.
 
     That of an `Omega` row is an entry of Q, or for three such rows of its skew part.
     """

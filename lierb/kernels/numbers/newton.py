@@ -1,4 +1,4 @@
-"""Newton's iteration on the equations of an implicit step, for lanes that stop at their own turns.
+"""Newton's iteration solves the equations of a step, for lanes that stop at their own turns.
 
 The Jacobian is exact, by dual numbers.
 """
@@ -25,14 +25,14 @@ Residual = Callable[[Vec], Vec]
 
 
 class Solved(NamedTuple):
-    """Solution of the equations of a step.   unsolved : 1 where the iteration has not converged."""
+    """The unknowns solve the equations of a step.   unsolved : 1 where they have not converged."""
 
     unknowns: Vec
     unsolved: Any
 
 
 def linearised(residual: Residual, at: Vec) -> tuple[Vec, Factored]:
-    """Value and factored Jacobian of a residual."""
+    """Return the value and the factored Jacobian of a residual."""
     n = len(at)
     units = (tuple(1.0 if i == j else ZERO for j in range(n)) for i in range(n))
     values = residual(tuple(map(Dual, at, units)))
@@ -81,7 +81,7 @@ def simplified_newton(
 
 
 def _unsolved(is_solved: Any, at_start: Any) -> Any:
-    """1 where an iteration has not converged; 0 where its start is not a number.
+    """Return 1 where an iteration has not converged; 0 where its start is not a number.
 
     is_solved : false for NaN.
     """
@@ -89,7 +89,7 @@ def _unsolved(is_solved: Any, at_start: Any) -> Any:
 
 
 def total(numbers: Vec) -> Any:
-    """Sum of the magnitudes."""
+    """Return the sum of the magnitudes."""
     result: Any = ZERO
     for x in numbers:
         result = result + absolute(x)

@@ -1,4 +1,4 @@
-"""Generalised α methods on a Lie group, of index 3 and of stabilised index 2.
+"""Generalised α methods on a Lie group have index 3 or the stabilised index 2.
 
 Unknowns at the end of a step are V̇₁ and λ₁, and η with index 2:
 
@@ -33,7 +33,7 @@ from lierb.kernels.systems.state import State
 
 
 class Coefficients(NamedTuple):
-    """Coefficients of Chung and Hulbert.   share : (1 − α_f)/(1 − α_m)."""
+    """The coefficients are those of Chung and Hulbert.   share : (1 − α_f)/(1 − α_m)."""
 
     alpha_m: float
     alpha_f: float
@@ -52,7 +52,7 @@ class Coefficients(NamedTuple):
 
 
 class Predicted(NamedTuple):
-    """End of a step without the terms with V̇₁: a₁, X and V₁; factors of V̇₁ in X and V₁."""
+    """The end of a step lacks the terms with V̇₁: a₁, X, V₁, and factors of V̇₁ in X and V₁."""
 
     a: Vec
     x: Vec
@@ -63,7 +63,7 @@ class Predicted(NamedTuple):
 
 @dataclass(frozen=True)
 class GeneralisedAlpha(UnestimatedMethod):
-    """Generalised α steps of a body with the solver "saddle"; all have one length."""
+    """A step is for a body with the solver "saddle"; all steps have one length."""
 
     scheme: AlphaScheme
 
@@ -90,7 +90,7 @@ class GeneralisedAlpha(UnestimatedMethod):
         before = form.constraints(state.chart) if self.is_stabilised else None
 
         def end(unknowns: Vec) -> tuple[Any, Vec]:
-            """C₁ and V₁."""
+            """Return C₁ and V₁."""
             x = axpy(to_x, unknowns[:6], predicted.x)
             if before is not None:  # η in units in which its column is as large as that of λ
                 x = sub(x, scale(to_x, before.force(unknowns[6 + m :])))

@@ -1,4 +1,4 @@
-"""RATTLE on a Lie group (RATTLie): variational, with position and velocity constraints satisfied.
+"""RATTLE on a Lie group (RATTLie) is variational, and satisfies rows of position and velocity.
 
 With X = hξ, C₁ = C₀ exp X, and Λ = ½ h² λ the multipliers at the step's start,
 
@@ -29,7 +29,7 @@ from lierb.kernels.systems.state import State
 
 @dataclass(frozen=True)
 class Rattle(UnestimatedMethod):
-    """RATTLE steps of a body with the solver "saddle"."""
+    """A step of RATTLE is for a body with the solver "saddle"."""
 
     scheme: RattleScheme
 
@@ -46,7 +46,7 @@ class Rattle(UnestimatedMethod):
         consistent = form.consistent(form.constraints(chart))
 
         def end(velocity: Vec) -> tuple[Vec, Any]:
-            """V₁ with forces at a velocity near it, and their power."""
+            """Return V₁ with forces at a velocity near it, and their power."""
             last = form.applied(chart, velocity, at.time + at.span)
             pushed = axpy(0.5 * h, last.wrench, arrived)
             solution = consistent.solve((*pushed, *(ZERO,) * len(system.plan.rows)))

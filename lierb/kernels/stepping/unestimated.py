@@ -1,4 +1,4 @@
-"""Methods without error estimate and continuous extension, for fixed steps."""
+"""Methods without error estimate and continuous extension are for fixed steps."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from lierb.kernels.systems.system import AnySystem
 
 
 class UnestimatedMethod:
-    """Method whose steps have no slopes; see `lierb.kernels.stepping.method.Method`."""
+    """The steps of such a method have no slopes; see `lierb.kernels.stepping.method.Method`."""
 
     def started(self, system: AnySystem, body: Any, state: State, at: Interval) -> State:
         return state
@@ -31,7 +31,7 @@ class UnestimatedMethod:
     def between(
         self, system: AnySystem, body: Any, state: State, at: Interval, slopes: Slopes, theta: Any
     ) -> State:
-        """State at time + θ h, by a step of θ h."""
+        """Return the state at time + θ h, by a step of θ h."""
         return self.step(system, body, state, at.part(theta)).state
 
 

@@ -1,4 +1,4 @@
-"""Variational Störmer–Verlet method on a joint's subgroup H: symplectic, and exactly on H.
+"""Verlet's variational method on a joint's subgroup H is symplectic, and stays on H exactly.
 
 With the discrete Lagrangian h ½ ξᵀMξ − h/2 (U(C₀) + U(C₁)), C₁ = C₀ exp hξ, and W the wrench of all
 forces,
@@ -34,7 +34,7 @@ from lierb.kernels.systems.state import State
 
 @dataclass(frozen=True)
 class Verlet(UnestimatedMethod):
-    """Störmer–Verlet steps, one after the other; for a body with the solver "subgroup"."""
+    """A step is one or several Störmer–Verlet steps; the body has the solver "subgroup"."""
 
     scheme: VerletScheme
 
@@ -67,7 +67,7 @@ def _substep(system: Subgroup, body: Any, state: State, at: Interval) -> tuple[S
 
 
 def _push(system: Subgroup, body: Any, chart: Chart, mu: Vec, time: Any) -> Applied:
-    """NᵀW of gravity and all other forces, without the terms of rotating axes; their power."""
+    """Return NᵀW of gravity and all other forces, and their power."""
     applied = Applied(ZERO6, ZERO)
     if system.plan.acting:
         pose, velocity = quaternion.pose(chart), system.velocity(body, mu)
@@ -100,7 +100,7 @@ def _drift(system: Subgroup, body: Any, momentum: Vec, h: Any) -> tuple[Vec, Vec
 
 
 def _pulled(system: Subgroup, body: Any, nu: Vec, h: Any) -> Vec:
-    """Nᵀ dexp⁻ᵀ_{hξ} Mξ of ξ = Nν, in the coordinates of H."""
+    """Return Nᵀ dexp⁻ᵀ_{hξ} Mξ of ξ = Nν, in the coordinates of H."""
     velocity = subgroup.lifted(system.slots, nu, body.pitch)
     momentum = body.momentum(velocity)
     half = scale(0.5 * h, velocity)

@@ -1,4 +1,4 @@
-"""Descriptor form of a body's equations of motion: constraints are equations, not accelerations.
+"""The descriptor form of a body's equations of motion keeps constraints as equations.
 
     M V̇ + Jᵀλ = ad_Vᵀ M V + W,   h(C) = 0,   J V = 0
 
@@ -36,13 +36,13 @@ UNITS = tuple(tuple(1.0 if i == j else ZERO for i in range(6)) for j in range(6)
 
 
 class Constraints(NamedTuple):
-    """Values h and Jacobian J of all rows, row by row."""
+    """Constraints have values h and a Jacobian J, row by row."""
 
     values: Vec
     jacobian: tuple[Vec, ...]
 
     def force(self, multipliers: Vec) -> Vec:
-        """Jᵀλ."""
+        """Return Jᵀλ."""
         result: Vec = ZERO6
         for row, size in zip(self.jacobian, multipliers, strict=True):
             pairs = zip(row, result, strict=True)
@@ -50,12 +50,12 @@ class Constraints(NamedTuple):
         return result
 
     def rates(self, velocity: Vec) -> Vec:
-        """J V."""
+        """Return J V."""
         return tuple(dot(row, velocity) for row in self.jacobian)
 
 
 class Descriptor:
-    """Terms of the descriptor form of one body."""
+    """The descriptor form of one body has these terms."""
 
     def __init__(self, system: SaddlePoint, body: BodyConstants) -> None:
         self.system, self.body, self.plan = system, body, system.plan
@@ -63,7 +63,7 @@ class Descriptor:
 
     @property
     def singular(self) -> Any:
-        """1 where rows depend on others, so that λ is not determined."""
+        """Return 1 where rows depend on others, so that λ is not determined."""
         if not has_others(self.plan.rows):
             return ZERO
         return where(self.body.dropped > 0.5, 1.0, 0.0 * self.body.mass)
@@ -73,14 +73,14 @@ class Descriptor:
         return any(element.depends_on_velocity for element in self.plan.acting)
 
     def momentum(self, velocity: Vec) -> Vec:
-        """M V."""
+        """Return M V."""
         if self.is_mixed:
             turning = mat_vec(self.body.inertia, velocity[:3])
             return turning + scale(self.body.mass, velocity[3:])
         return self.body.momentum(velocity)
 
     def applied(self, chart: Chart, velocity: Vec, time: Any) -> Applied:
-        """W of gravity and all other forces, and the power of those without potential."""
+        """Return W of gravity and all other forces, and the power of those without potential."""
         body, plan = self.body, self.plan
         applied = Applied(ZERO6, ZERO)
         if plan.acting:
@@ -97,7 +97,7 @@ class Descriptor:
         return Applied(torque + force, applied.power)
 
     def gyroscopic(self, velocity: Vec) -> Vec:
-        """ad_Vᵀ M V."""
+        """Return ad_Vᵀ M V."""
         omega, momentum = velocity[:3], self.momentum(velocity)
         spin = cross_add(momentum[:3], omega, (ZERO,) * 3)
         if self.is_mixed:
@@ -112,28 +112,28 @@ class Descriptor:
         return Constraints(tuple(values), jacobian)
 
     def moved(self, chart: Chart, x: Vec) -> Chart:
-        """C exp X."""
+        """Return C exp X."""
         return self.system.moved(chart, scale(0.5, x))
 
     def pulled(self, x: Vec, momentum: Vec) -> Vec:
-        """dexp⁻ᵀ_X p."""
+        """Return dexp⁻ᵀ_X p."""
         half = scale(0.5, x)
         k = quaternion.angle_coefficients(half)
         charts = self.plan.space.charts
         return tuple(dot(charts.dexpinv(half, unit, k), momentum) for unit in UNITS)
 
     def mass_matrix(self) -> Mat:
-        """Columns of M, which is symmetric."""
+        """Return the columns of M, which is symmetric."""
         return tuple(self.momentum(unit) for unit in UNITS)
 
     def consistent(self, constraints: Constraints) -> Factored:
-        """Factored [[M, Jᵀ], [J, 0]]."""
+        """Factor [[M, Jᵀ], [J, 0]]."""
         rows, m = constraints.jacobian, len(constraints.jacobian)
         mass = self.mass_matrix()
         upper = [[*mass[i], *(row[i] for row in rows)] for i in range(6)]
         return Factored([*upper, *([*row, *(ZERO,) * m] for row in rows)])
 
     def size(self, chart: Chart, x: Vec) -> Any:
-        """Size of a displacement X, relative to 1 rad, and to the body's size and position."""
+        """Return the size of a displacement X, relative to 1 rad, and to the body's size and position."""
         length = sqrt(self.body.girth) + norm(chart[1])
         return total(x[:3]) + total(x[3:6]) * (1.0 / length)

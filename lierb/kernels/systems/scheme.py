@@ -1,4 +1,4 @@
-"""Schemes: the coefficients of one-step methods, on which compiled code is specialised."""
+"""Compiled code is specialised on schemes, the coefficients of one-step methods."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ Stages = tuple[tuple[float, ...], ...]  # rows of weights of the stages before
 
 @dataclass(frozen=True)
 class Embedded:
-    """Error estimate of a step.
+    """An embedded method estimates the error of a step.
 
     weights : one row, b − b̂, or two rows, E₅ and E₃ of DOP853.   order : order of b̂.
     """
@@ -23,8 +23,9 @@ class Embedded:
 
 @dataclass(frozen=True)
 class Extension:
-    """A continuous extension: further stages, and each stage's weight as a polynomial in θ,
-    Σ weights[i][k] θᵏ⁺¹.
+    """A continuous extension has further stages, and each stage's weight as a polynomial in θ.
+
+    The polynomial is Σ weights[i][k] θᵏ⁺¹.
     """
 
     stages: Stages
@@ -33,7 +34,7 @@ class Extension:
 
 @dataclass(frozen=True, kw_only=True)
 class Scheme:
-    """Coefficients of a one-step method.
+    """A scheme is what compiled code knows of a one-step method: its coefficients.
 
     embedded, extension : error estimate and continuous extension; None without these.
     """
@@ -50,12 +51,12 @@ class Scheme:
 
     @property
     def described(self) -> dict[str, Any]:
-        """Arguments of the class in `lierb.methods` that make the same method."""
+        """Return the arguments of the class in `lierb.methods` that make the same method."""
         raise NotImplementedError
 
     @property
     def length(self) -> float:
-        """Number of stages in the code of a step; infinite for a method without stages."""
+        """Return the number of stages in the code of a step; infinite for a method without any."""
         return math.inf
 
     def carried(self, rows: int) -> int:
@@ -68,7 +69,7 @@ class Scheme:
 
 @dataclass(frozen=True, kw_only=True)
 class StagedScheme(Scheme):
-    """Coefficients of a method with stages: kᵢ at y + h Σ stages[i][j] kⱼ, end at y + h Σ bᵢ kᵢ.
+    """A method with stages has kᵢ at y + h Σ stages[i][j] kⱼ and ends at y + h Σ bᵢ kᵢ.
 
     stages : strictly lower triangle of a matrix, row by row; rows for the error estimate are last.
     weights : b.
@@ -94,13 +95,13 @@ class StagedScheme(Scheme):
 
     @property
     def last_stage(self) -> int:
-        """Number of stages needed without error estimate and dense output."""
+        """Return the number of stages needed without error estimate and dense output."""
         return max(i for i, weight in enumerate(self.weights, 1) if weight != 0.0)
 
 
 @dataclass(frozen=True, kw_only=True)
 class ExplicitScheme(StagedScheme):
-    """Explicit Runge–Kutta method with the matrix A and weights b of its Butcher tableau.
+    """An explicit Runge–Kutta method has the matrix A and weights b of its Butcher tableau.
 
     exponentials : rows of weights of a commutator-free method, for each stage, then for the end.
     """
@@ -121,7 +122,9 @@ class ExplicitScheme(StagedScheme):
 
 @dataclass(frozen=True, kw_only=True)
 class RosenbrockScheme(StagedScheme):
-    """Rosenbrock method: (1 − γhJ) kᵢ = γ (f(t + αᵢ h, y + h Σ Aᵢⱼ kⱼ) + Σ Cᵢⱼ kⱼ + γᵢ h ∂f/∂t).
+    """A Rosenbrock method solves linear equations in each stage.
+
+    (1 − γhJ) kᵢ = γ (f(t + αᵢ h, y + h Σ Aᵢⱼ kⱼ) + Σ Cᵢⱼ kⱼ + γᵢ h ∂f/∂t).
 
     stages : A.   couplings : C.   nodes, late : αᵢ and γᵢ.
     """
@@ -140,7 +143,7 @@ class RosenbrockScheme(StagedScheme):
 
 @dataclass(frozen=True, kw_only=True)
 class VerletScheme(Scheme):
-    """Variational Störmer–Verlet method, composed of substeps.
+    """A variational Störmer–Verlet step is composed of substeps.
 
     shares : lengths of the substeps, as fractions of the step.
     """
@@ -156,7 +159,7 @@ class VerletScheme(Scheme):
 
 @dataclass(frozen=True, kw_only=True)
 class RattleScheme(Scheme):
-    """RATTLE on a Lie group, which has no coefficients."""
+    """RATTLE on a Lie group has no coefficients."""
 
     __hash__ = Scheme.__hash__
 
@@ -167,7 +170,7 @@ class RattleScheme(Scheme):
 
 @dataclass(frozen=True, kw_only=True)
 class AlphaScheme(Scheme):
-    """Generalised α method.
+    """A generalised α method has two parameters.
 
     rho : ρ∞, the amplification of infinitely fast oscillations.
     index : 3, position constraints alone, or 2, velocity constraints as well.
@@ -183,5 +186,5 @@ class AlphaScheme(Scheme):
         return {"rho": self.rho, "index": self.index}
 
     def carried(self, rows: int) -> int:
-        """V̇ (6), a (6) and λ."""
+        """Return the number of V̇ (6), a (6) and λ."""
         return 12 + rows
