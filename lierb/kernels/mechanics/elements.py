@@ -86,7 +86,8 @@ class Element:
     the body and of the ground.   needs_slide : True if it acts along e₃.   rows : number of
     constraints.   does_work : True if it can change E = T + U, U the `energy` of all elements.
     is_passive : True if it has no effect on the motion by itself.   bounds_steps : True if
-    adaptive steps respect the bounds of `travel`.
+    adaptive steps respect the bounds of `travel`.   jumping : parameters that, unless zero, make
+    the wrench jump at a place.
     """
 
     needs_axis: ClassVar[bool] = False
@@ -97,6 +98,7 @@ class Element:
     is_passive: ClassVar[bool] = False
     working: ClassVar[tuple[str, ...]] = ()  # parameters of forces without potential
     bounds_steps: ClassVar[bool] = False
+    jumping: ClassVar[tuple[str, ...]] = ()
     discontinuities: tuple[str, ...] = ()  # parameters that are times of possible jumps, s
     rows: int = 0
 
