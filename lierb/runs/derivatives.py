@@ -67,6 +67,14 @@ def require_differentiable(ready: Ready, parameters: tuple[Parameter, ...]) -> N
             f"{own}{', '.join(sorted(names))} runs body by body, without derivatives; write it so "
             "that it runs for many bodies at once, with lierb.where(condition, a, b) in place of if"
         )
+    chosen, spaces = {p.name for p in parameters}, ready.options.formulation.cspaces
+    for link, space in zip(model.link_names, spaces, strict=True):
+        name = f"{link}.body.com" if link else "body.com"
+        if space == "SO3xR3" and name in chosen:
+            raise ArgumentError(
+                f'{own}{name} cannot change on cspace="SO3xR3", where the body frame is at the '
+                'centre of mass; take cspace="SE3"'
+            )
     numbers = derivatives_of(plan).count * sum(p.count for p in parameters)
     rows = (ready.times.saved_rows + 1) * ready.inputs.count
     remedy = "take fewer parameters or trajectories at a time, or save less often"
