@@ -67,6 +67,9 @@ def require_differentiable(ready: Ready, parameters: tuple[Parameter, ...]) -> N
             f"{own}{', '.join(sorted(names))} runs body by body, without derivatives; write it so "
             "that it runs for many bodies at once, with lierb.where(condition, a, b) in place of if"
         )
+    for name in (*(column.name for column in model.signals), *(o.name for o in model.observables)):
+        if name in ("pose", "twist"):
+            raise ArgumentError(f"{own}{name} is a quantity of the run; name your column otherwise")
     chosen, spaces = {p.name for p in parameters}, ready.options.formulation.cspaces
     for link, space in zip(model.link_names, spaces, strict=True):
         name = f"{link}.body.com" if link else "body.com"

@@ -56,7 +56,9 @@ def changed(arguments: dict, weights: dict) -> dict:
     """Arguments plus i h times a combination of the parameters' directions."""
     given, step = dict(arguments), 1j * steps.H
     for name, weight in weights.items():
-        _, _, last = name.rpartition(".")
+        owner, _, last = name.rpartition(".")
+        if owner not in ("body", "joint", ""):
+            continue  # of a force
         if last in ("mass", "pitch", "length"):
             given[last] = given[last] + step * weight[0]
         elif last in ("com", "gravity"):

@@ -35,6 +35,7 @@ from lierb.kernels.mechanics.newton_euler import (
 from lierb.kernels.mechanics.rows import AddedRow, HeldBody
 from lierb.kernels.mechanics.scale import ROUNDING
 from lierb.kernels.numbers.arithmetic import PI, absolute, flatten, fma, plain, where
+from lierb.kernels.numbers.dual import Dual
 from lierb.kernels.numbers.number import Number
 from lierb.kernels.numbers.vec import (
     ZERO3,
@@ -320,7 +321,8 @@ class UserRow(AddedRow):
             entries += [_second(*xs) for xs in zip(along, rate, cross(rate, omega), strict=True)]
         bend = mat_vec(r, mat_vec(frame.axes, add(x.point_bias, swing)))
         places = [_second(*xs) for xs in zip(place, mat_vec(r, v), bend, strict=True)]
-        h = self._of(body, tuple(entries), tuple(places))
+        parameters = _constant_in_time(self.placed(body)[1])
+        h = self.element.function(parameters, tuple(entries), tuple(places))[self.i]
         slope = h.parts[0] if isinstance(h, UserNumber) else ZERO
         return -slope.parts[0] if isinstance(slope, UserNumber) and slope.parts else ZERO
 
@@ -333,6 +335,16 @@ def _moving(values: Vec, rates: Vec) -> Vec:
 def _second(value: Any, rate: Any, bend: Any) -> UserNumber:
     """A number with its first and second derivative."""
     return UserNumber(UserNumber(plain(value), (rate,)), (UserNumber(plain(rate), (bend,)),))
+
+
+def _constant_in_time(numbers: tuple[Any, ...]) -> tuple[Any, ...]:
+    """Numbers with neither derivative of `_second`; they keep their own, such as by a parameter."""
+    return tuple(
+        _constant_in_time(x) if isinstance(x, tuple)
+        else UserNumber(UserNumber(x)) if isinstance(x, Dual)
+        else x
+        for x in numbers
+    )  # fmt: skip
 
 
 # ---- passive elements --------------------------------------------------------------------------
