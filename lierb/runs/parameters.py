@@ -102,6 +102,8 @@ def _of_joints(model: Model) -> Iterator[Parameter]:
         assert at.joint is not None
         prefix, first = (f"{at.name}.joint.", f"{number}.") if is_mechanism else ("joint.", "")
         for point, frame in POINTS.items():
+            if point == "parent_point" and not is_mechanism:
+                continue
             units = np.zeros((3, 1, 12))
             units[range(3), 0, range(9, 12)] = 1.0
             yield _geometric(model, f"{prefix}{point}", "m", {f"{first}{frame}": units})
