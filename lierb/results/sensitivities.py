@@ -60,7 +60,8 @@ class Sensitivities(NamedTuple):
             if name not in known:
                 raise unknown_name(argument, name, known)
         column = f"{of}{SEPARATOR}{with_respect_to}"
-        table, lead = self.summary, (self.summary.num_rows,)
+        lead: tuple[int, ...] = (self.summary.num_rows,)
+        table = self.summary
         if self.history is not None and column in self.history.column_names:
             table, lead = self.history, (-1, self.summary.num_rows)
         shape = table.schema.field(column).metadata[SHAPE].decode()
@@ -121,11 +122,11 @@ def _of(derivatives: Derivatives, quantity: _Quantity, array: Array) -> Iterator
     """Yield a column for each parameter.   array : [number][direction][row]."""
     first = 0
     for p in derivatives.parameters:
-        part = np.moveaxis(array[:, first : first + p.count], -1, 0)
-        first += p.count
+        part = np.moveaxis(array[:, first : first + p.size], -1, 0)
+        first += p.size
         flat = np.ascontiguousarray(part.reshape(len(part), -1))
         column = vectors(flat)
-        shape = ", ".join(map(str, (*quantity.shape, p.count)))
+        shape = ", ".join(map(str, (*quantity.shape, p.size)))
         described = {UNIT: quantity.unit, PER: p.unit, SHAPE: shape}
         name = f"{quantity.name}{SEPARATOR}{p.name}"
         yield pa.field(name, column.type, metadata=described), column

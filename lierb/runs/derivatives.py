@@ -78,7 +78,7 @@ def require_differentiable(ready: Ready, parameters: tuple[Parameter, ...]) -> N
                 f'{own}{name} cannot change on cspace="SO3xR3", where the body frame is at the '
                 'centre of mass; take cspace="SE3"'
             )
-    numbers = derivatives_of(plan).count * sum(p.count for p in parameters)
+    numbers = derivatives_of(plan).count * sum(p.size for p in parameters)
     rows = (ready.times.saved_rows + 1) * ready.inputs.count
     remedy = "take fewer parameters or trajectories at a time, or save less often"
     require_memory(COPIES * 8 * numbers * rows, "the derivatives", remedy)
@@ -100,7 +100,7 @@ def integrate_with_derivatives(
     moving = fields_of(parameters, (field.name for field, _ in inputs.columns))
     differentiated = plan_with_derivatives(plan, moving)
     directions = all_directions(parameters, _start_of(ready, inputs))
-    outputs = []
+    outputs: list[Output] = []
     for first in range(0, len(directions), DIRECTIONS):
         seeds = _seeds(inputs.columns, moving, directions[first : first + DIRECTIONS])
         run = replace(inputs, seeds=seeds)
@@ -114,12 +114,12 @@ def integrate_with_derivatives(
 
 def _with_poses(ready: Ready) -> Inputs:
     """Inputs with the closed pose of a joint as an array, on which its changes are based."""
-    inputs, (link, *_) = ready.inputs, ready.model.link_names
+    inputs = ready.inputs
     if ready.pose0 is not None:
         return inputs
-    joint = ready.model.joints[0].joint
-    assert joint is not None and not link
-    return replace(inputs, starts=inputs.starts | {"pose": joint.closed_pose})
+    (at,) = ready.model.joints  # a mechanism has poses
+    assert at.joint is not None
+    return replace(inputs, starts=inputs.starts | {"pose": at.joint.closed_pose})
 
 
 def _start_of(ready: Ready, inputs: Inputs) -> Start:
@@ -153,7 +153,7 @@ def _seeds(
 def _together(
     ready: Ready, plan: AnyPlan, parameters: tuple[Parameter, ...], outputs: list[Output]
 ) -> Derivatives:
-    columns, count = derivatives_of(plan), sum(p.count for p in parameters)
+    columns, count = derivatives_of(plan), sum(p.size for p in parameters)
     n, rows = ready.inputs.count, ready.times.saved_rows
     whole = columns.count * DIRECTIONS
 

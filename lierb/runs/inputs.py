@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import NamedTuple
 from weakref import WeakKeyDictionary
@@ -104,12 +104,12 @@ class Inputs:
     count: int
     time: float = 0.0
     state: Array | None = None
-    seeds: dict[str, Array] = field(default_factory=dict)
+    seeds: dict[str, Array] | None = None
 
     @property
     def differ(self) -> int:
         """Kind of the inputs that differ between trajectories: TWISTS, POSES or BODIES."""
-        own = {name for name, array in self.seeds.items() if array.shape[1] > 1}
+        own = {name for name, array in (self.seeds or {}).items() if array.shape[1] > 1}
         if _layout(self.model, self.columns).differ or own - self.starts.keys():
             return BODIES
         are_one = self.state is not None or all(
@@ -137,9 +137,9 @@ class Inputs:
 
     def _seeds(self) -> Iterator[Addresses]:
         """Yield the addresses of each field's seeds, [number, direction]."""
-        for field, _ in self.columns:
-            if field.name in self.seeds:
-                seeds = self.seeds[field.name]
+        for field, _ in self.columns if self.seeds else ():
+            seeds = (self.seeds or {}).get(field.name)
+            if seeds is not None:
                 addresses = np.zeros((field.width, DIRECTIONS, 2), dtype=np.int64)
                 numbers, directions = np.ogrid[: field.width, :DIRECTIONS]
                 per_direction, per_trajectory, per_number = seeds.strides

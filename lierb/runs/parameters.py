@@ -37,13 +37,13 @@ OF_LISTS = ("problem", *ELEMENTS)  # prefixes of names in a study
 class Parameter(NamedTuple):
     """Parameter of a run, a number or several.
 
-    count : number of its directions.   unit : unit, or those of all components.
+    size : number of its directions.   unit : unit, or those of all components.
     fields : fields of the inputs that depend on it.
     seeds : function of the start that returns their derivatives.
     """
 
     name: str
-    count: int
+    size: int
     unit: str
     fields: tuple[str, ...]
     seeds: Callable[[Start], Seeds]
@@ -209,5 +209,5 @@ def all_directions(parameters: Iterable[Parameter], start: Start) -> list[dict[s
     directions = []
     for p in parameters:
         seeds = p.seeds(start)
-        directions += [{f: array[j] for f, array in seeds.items()} for j in range(p.count)]
+        directions += [{f: array[j] for f, array in seeds.items()} for j in range(p.size)]
     return directions

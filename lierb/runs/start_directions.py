@@ -55,16 +55,13 @@ class Start:
         self.t0 = np.float64(t0)
         self.with_rows = [i for i, e in enumerate(model.elements) if e.kind.rows]
         self.poses, self.twists = ([*given.values()] for given in (poses, twists))
-        self.names = [*poses]
 
     @cached_property
     def mechanism(self) -> Mechanism:
         """The model as a mechanism, without elements that have no rows."""
         model = self.model
-        rows = {
-            "forces": [force for force in model.forces if force.kind.rows],
-            "constraints": model.constraints,
-        }
+        motors = [force for force in model.forces if force.kind.rows]
+        rows: dict[str, Any] = {"forces": motors, "constraints": model.constraints}
         if isinstance(model, Mechanism):
             return Mechanism(model.links, model.loops, **rows)
         assert isinstance(model, Problem)
@@ -203,7 +200,9 @@ class Start:
         """Missing changes of all rows, or of their rates, (directions, n, rows)."""
         pairs = zip(self.placed, moved.poses, strict=True)
         poses = [_turned(pose, change) for pose, change in pairs]
-        twists = [_with_parts(v, change) for v, change in zip(self.moving, moved.twists, strict=True)]
+        twists = [
+            _with_parts(v, change) for v, change in zip(self.moving, moved.twists, strict=True)
+        ]
         shape, missing = (len(moved.poses[0]), self.count, 1), []
         for at in self.mechanism.connections:
             x, body, change = frames.kinematics(at, poses, twists)
@@ -308,7 +307,7 @@ def _with_parts(numbers: Vec, changes: Array) -> Vec:
 
 
 def _turned(pose: Pose, change: Array) -> Pose:
-    """Pose C exp δ with the derivatives C δ, as dual numbers.   change : (directions, n or 1, 6)."""
+    """Pose C exp δ as dual numbers, with derivatives C δ.   change : (directions, n or 1, 6)."""
     moved = [
         (*mat_mat(pose[0], skew(components(each)[:3])), *mat_vec(pose[0], components(each)[3:]))
         for each in change
@@ -319,7 +318,9 @@ def _turned(pose: Pose, change: Array) -> Pose:
 
 def _moved_in_body(before: Pose, after: Pose) -> Vec:
     """C⁻¹δC, angular then linear, as dual numbers of value zero.   after : with derivatives."""
-    columns = [tuple(after[0][3 * i + j] - before[0][3 * i + j] for i in range(3)) for j in range(3)]
+    columns = [
+        tuple(after[0][3 * i + j] - before[0][3 * i + j] for i in range(3)) for j in range(3)
+    ]
     x, y, z = (mat_t_vec(before[0], column) for column in columns)
     axis = tuple(0.5 * a for a in (y[2] - z[1], z[0] - x[2], x[1] - y[0]))
     place = tuple(a - b for a, b in zip(after[1], before[1], strict=True))

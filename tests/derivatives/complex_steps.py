@@ -1,5 +1,6 @@
-"""Complex-step derivatives of a body on a joint, without lierb: Newton's and Euler's equations about
-the centre of mass in ground axes, with the rows of `oracle`, by SciPy's DOP853 on complex numbers.
+"""Complex-step derivatives of a body on a joint, without lierb: Newton's and Euler's equations
+about the centre of mass in ground axes, with the rows of `oracle`, by SciPy's DOP853 on complex
+numbers.
 
 f(x + i h) = f(x) + i h f′(x) to rounding for h = 1e-30: no difference cancels.
 """

@@ -71,19 +71,18 @@ def double_pendulum(upper: Bar, lower: Bar, gravity, spring, angles, rates, t_en
     return y[:2], y[2:], turned(y[0], d) - turned(y[1], lower.first)
 
 
-def four_bar(bars: list[Bar], base, gravity, drag, angles, places, rates, speeds, t_end):
+def four_bar(bars: list[Bar], gravity, drag, angles, places, rates, speeds, t_end):
     """Angles and rates of crank, coupler and rocker at the end.
 
-    The crank's first point is on the ground's origin, the coupler's on the crank's second, the
-    rocker's on `base`; the coupler's second is on the rocker's.   drag : N m s, on the rocker.
+    The first points of crank and rocker are on the ground, the coupler's on the crank's second; the
+    coupler's second is on the rocker's.   drag : N m s, on the rocker.
     places, speeds : of the bars' origins, in ground axes.
     """
     joints = ((0, "first", None, None), (1, "first", 0, "second"), (2, "first", None, None),
               (1, "second", 2, "second"))  # fmt: skip
 
     def rate(y):
-        place, angle = y[:6].reshape(3, 2), y[6:9]
-        velocity, spin = y[9:15].reshape(3, 2), y[15:18]
+        angle, spin = y[6:9], y[15:18]
         system, right = np.zeros((17, 17), complex), np.zeros(17, complex)
         for i, bar in enumerate(bars):
             # of the origin and the angle: a(com) = ẍ + S a − w² a

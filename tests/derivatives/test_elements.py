@@ -125,7 +125,9 @@ def test_a_motors_speed_moves_the_start():
     )  # fmt: skip
     expected = np.array((0.0, 1.0, 0.0))
     assert np.abs(result.sensitivity("twist", "motor.speed")[0, :3, 0] - expected).max() < 1e-12
-    assert np.abs(result.sensitivity("pose", "motor.speed")[0, :3, 0] - 0.5 * expected).max() < 1e-12
+    assert (
+        np.abs(result.sensitivity("pose", "motor.speed")[0, :3, 0] - 0.5 * expected).max() < 1e-12
+    )
 
 
 # ---- extra states, observables -----------------------------------------------------------------

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from mechanisms import oracle, samples
+from mechanisms.test_oracle import sample
 
 import lierb
 from derivatives import complex_steps as steps
 from derivatives import planar
-from mechanisms import oracle, samples
-from mechanisms.test_oracle import sample
 
 GRAVITY = (0.0, 0.0, -9.81)
 AXIS = {"axis": (0.0, 1.0, 0.0)}
@@ -57,7 +57,8 @@ def weights_of(result, names, seed=4) -> dict[str, np.ndarray]:
     rng = np.random.default_rng(seed)
     table = result.sensitivities
     return {
-        n: rng.standard_normal(table.array("energy", n).shape[-1]) * (0.1 if "inertia" in n else 1.0)
+        n: rng.standard_normal(table.array("energy", n).shape[-1])
+        * (0.1 if "inertia" in n else 1.0)
         for n in names
     }
 
@@ -187,8 +188,7 @@ def test_derivatives_of_a_closed_loop_are_those_of_complex_steps(stabilise):
         turned = np.cross(change[:3], velocity)
         speeds.append(flat(R @ velocity) + H * flat(R @ (rate[3:] + turned)))
     found = planar.four_bar(
-        bars, point((0.3, 0.0, 0.0), "rocker.joint.ground_point"), point(GRAVITY, "gravity"),
-        0.01 + H * weights["rocker.drag.angular"][0], np.array(angles), np.array(places),
+        bars, point(GRAVITY, "gravity"), 0.01 + H * weights["rocker.drag.angular"][0], np.array(angles), np.array(places),
         np.array(rates), np.array(speeds), 0.2,
     )  # fmt: skip
     scale = np.abs(found[1].imag / steps.H).max()

@@ -159,9 +159,7 @@ def advance_small_angles(
 
 
 def tidy(plan: AnyPlan, body: Any, state: State) -> State:
-    return with_all_parts(
-        plan, state._replace(chart=system_of(plan).tidied(body, state.chart))
-    )
+    return with_all_parts(plan, state._replace(chart=system_of(plan).tidied(body, state.chart)))
 
 
 for _formula in (

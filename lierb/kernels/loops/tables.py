@@ -142,7 +142,9 @@ def store_derivatives(
 ) -> None:  # fmt: skip
     """Store one row of the derivatives of a state, [column, direction]."""
     if plan.moving:
-        _store_parts(plan, body, inputs, state, record, tables.derivatives, (at.row, at.column), time)
+        _store_parts(
+            plan, body, inputs, state, record, tables.derivatives, (at.row, at.column), time
+        )
 
 
 def store_end_derivatives(

@@ -1,10 +1,10 @@
 """Derivatives along directions of the inputs, carried by dual numbers through a run.
 
-A plan names the fields of the inputs that have derivatives (`AnyPlan.moving`). Their columns become
+A plan names the fields of the inputs that have derivatives (`AnyPlan.moving`). Their numbers become
 `Dual` with DIRECTIONS parts, which are further inputs, the seeds; everything computed from them is
-then differentiated. Formulas that only examine a state (measures, step-size control, events) get the
-values, whose bits are those of a run without derivatives. A plan without moving fields emits the
-same code as before.
+then differentiated. Formulas that only examine a state (measures, step-size control, events) get
+the values, whose bits are those of a run without derivatives. Without moving fields no formula here
+emits any code.
 """
 
 from __future__ import annotations
@@ -109,9 +109,7 @@ def differentiated(
     """Derivatives of `derivative_columns`, [column][direction].   time : s, a number or a dual."""
     seen = system.motion(body, state, time)
     directions = max(len(parts_of(x)) for x in flatten(state))
-    links = [
-        moved_in_body(link, directions) for link in system.in_user_frames(body, inputs, state)
-    ]
+    links = [moved_in_body(link, directions) for link in system.in_user_frames(body, inputs, state)]
     energy = system.measured(body, state, seen, time).values["energy"]
     forces: tuple[Any, Any] = ((), ())
     if plan.multipliers or plan.reaction:
