@@ -282,7 +282,7 @@ def integrate_model(
         warn_of_switches(model, stacklevel=stacklevel + 1)
     warn_of_stiff_steps(prepared, stacklevel=stacklevel + 1)
     described = provenance(prepared)
-    check = _start_check(prepared, stacklevel + 3)
+    check = _start_check(prepared, stacklevel + 3 + bool(parameters))
     try:
         if prepared.is_checked and not model.flags_starts:
             error = model.violation(prepared.pose0, prepared.twist0, options.timing.t0)
