@@ -20,8 +20,8 @@ import lierb
 
 sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
 
-from cases import top  # noqa: E402
-from mechanisms.shared import double_pendulum  # noqa: E402
+from cases import top
+from mechanisms.shared import double_pendulum
 
 COUNT, REPEATS = 2048, 5
 Run = Callable[..., lierb.Result]

@@ -188,7 +188,8 @@ def test_derivatives_of_a_closed_loop_are_those_of_complex_steps(stabilise):
         turned = np.cross(change[:3], velocity)
         speeds.append(flat(R @ velocity) + H * flat(R @ (rate[3:] + turned)))
     found = planar.four_bar(
-        bars, point(GRAVITY, "gravity"), 0.01 + H * weights["rocker.drag.angular"][0], np.array(angles), np.array(places),
+        bars, point(GRAVITY, "gravity"), 0.01 + H * weights["rocker.drag.angular"][0],
+        np.array(angles), np.array(places),
         np.array(rates), np.array(speeds), 0.2,
     )  # fmt: skip
     scale = np.abs(found[1].imag / steps.H).max()
