@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from lierb.errors import ArgumentError, InconsistentStateWarning, brief
 from lierb.kernels.systems.plan import Stabilisation
-from lierb.methods import ButcherTableau
+from lierb.methods import Method
 from lierb.model.base import Model
 from lierb.model.functions.events import Event
 from lierb.model.mechanism.mechanism import Mechanism
@@ -38,6 +38,7 @@ from lierb.runs.output import Output
 from lierb.runs.parameters import chosen_parameters
 from lierb.runs.provenance import provenance
 from lierb.runs.starts import Ready, ready
+from lierb.runs.stiff_runs import warn_of_stiff_run
 from lierb.runs.stiffness import warn_of_stiff_steps
 from lierb.runs.switches import warn_of_switches
 from lierb.support.arrays import Array
@@ -61,7 +62,7 @@ def integrate(
     max_steps: int | None = None,
     discontinuities: ArrayLike | None = None,
     # equations and method
-    method: str | ButcherTableau | None = None,
+    method: str | Method | None = None,
     cspace: str | Mapping[str, str] | None = None,
     update: str = "local",
     solver: str = "auto",
@@ -120,9 +121,9 @@ def integrate(
         Times, s, in ascending order, at which a function of t jumps or has a kink. A step ends at
         each of these times, and the stages of a step evaluate the function on their own side of it.
         Times that differ between trajectories are parameters of a `lierb.wrench`. Default: none.
-    method : str or ButcherTableau, optional
-        A name of `lierb.TABLEAUS`, or a tableau. Adaptive steps need an embedded method. Default:
-        "RK4"; with adaptive steps "DOP853".
+    method : str or Method, optional
+        A name of `lierb.methods.METHODS`, a `ButcherTableau` or a `RosenbrockTableau`. Adaptive
+        steps need an embedded method. Default: "RK4"; with adaptive steps "DOP853".
     cspace : {"SE3", "SO3xR3", "reduced"} or dict, optional
         Configuration space. "SE3": screw motions. "SO3xR3": rotation and position decoupled.
         "reduced": the joint's own subgroup of SE(3), without constraints (Müller, eqs. 3a, b),
@@ -206,7 +207,7 @@ def integrate(
         trajectories are unaffected.
     StiffStepWarning
         Fixed steps exceed the method's stability bound for the stiffness or damping of a force of
-        `lierb.forces`. The run continues.
+        `lierb.forces`, or stability limits adaptive steps. The run continues.
     DerivativeWarning
         A force or function switches by a comparison; its derivatives are right only if it is
         continuous there.
@@ -293,6 +294,7 @@ def integrate_model(
             output, derivatives = integrate_with_derivatives(prepared, parameters, *call)
         else:
             output = engine.integrate(prepared.plan, prepared.inputs, prepared.times, *call)
+        warn_of_stiff_run(prepared, output, stacklevel=stacklevel + 1)
         result = _result(prepared, output, derivatives, described())
     except MemoryError as error:
         raise no_room(prepared) from error

@@ -23,7 +23,7 @@ from lierb.kernels.groups.lie_functions import apply
 from lierb.kernels.loops.blocks import integrate_blocks
 from lierb.kernels.mechanics.rows import parameters_of
 from lierb.kernels.tracing.cpu import CPU_FEATURES, DEFAULT_LANES, HAS_FMA
-from lierb.methods import ButcherTableau, tableau_of
+from lierb.methods import Method, method_named
 from lierb.model.bodies.body import Body
 from lierb.model.joints.joint import Joint
 from lierb.model.joints.joint_type import JOINTS
@@ -112,7 +112,7 @@ class Kernel:
 def warmup(
     joints: Iterable[str | Joint] = ("spherical",),
     *,
-    methods: Iterable[str | ButcherTableau] = ("RK4",),
+    methods: Iterable[str | Method] = ("RK4",),
     cspaces: Iterable[str] = ("SE3",),
     updates: Iterable[str] = ("local",),
     solver: str = "auto",
@@ -129,7 +129,7 @@ def warmup(
     ----------
     joints : iterable of str or Joint, optional
         Names of the catalogue, joints, or "tree".
-    methods : iterable of str or ButcherTableau, optional
+    methods : iterable of str or Method, optional
         Methods, as in `integrate`.
     cspaces : iterable of str, optional
         Configuration spaces, as in `integrate`.
@@ -164,26 +164,26 @@ def warmup(
     if not isinstance(multipliers, bool):
         raise ArgumentError(f"multipliers={brief(multipliers)}; expected True or False")
     joints = _several("joints", joints, Joint)
-    methods = _several("methods", methods, ButcherTableau)
+    methods = _several("methods", methods, Method)
     cspaces, updates = _several("cspaces", cspaces), _several("updates", updates)
     for cspace, update in product(cspaces, updates):
         check_names(cspace=cspace, update=update, solver=solver)
-    wanted: list[tuple[Joint | None, ButcherTableau, str, str]] = [
-        (joint, tableau, cspace, update)
-        for joint, tableau, cspace, update in product(
+    wanted: list[tuple[Joint | None, Method, str, str]] = [
+        (joint, method, cspace, update)
+        for joint, method, cspace, update in product(
             [j if isinstance(j, Joint) else _named(j) for j in joints if not _is_tree(j)],
-            [tableau_of(method) for method in methods],
+            [method_named(method) for method in methods],
             cspaces,
             updates,
         )
         if cspace != "reduced" or (joint.subgroup and joint.rows)
     ]
     if any(map(_is_tree, joints)):
-        wanted += [(None, tableau_of(method), "reduced", "local") for method in methods]
+        wanted += [(None, method_named(method), "reduced", "local") for method in methods]
     ready: list[Kernel] = []
-    for joint, tableau, cspace, update in wanted:
+    for joint, method, cspace, update in wanted:
         name = TREE if joint is None else joint.name
-        report(len(ready), len(wanted), f"{name}, {tableau.name}, {cspace}, {update}")
+        report(len(ready), len(wanted), f"{name}, {method.name}, {cspace}, {update}")
         began = time.perf_counter()
         if joint is None:
             chosen: dict[str, Any] = {"solver": "looped", "twist0": ANY_TREE.twist()}
@@ -194,11 +194,11 @@ def warmup(
             }  # fmt: skip
         integrate(
             ANY_TREE if joint is None else Problem(ANY_BODY, joint), **chosen, dt=1.0, t_end=1.0,
-            method=tableau, cspace=cspace, update=update, progress=False,
+            method=method, cspace=cspace, update=update, progress=False,
             save_every=1 if multipliers else None, record=("multipliers",) if multipliers else (),
         )  # fmt: skip
         seconds = time.perf_counter() - began
-        ready.append(Kernel(name, tableau.name, cspace, update, seconds))
+        ready.append(Kernel(name, method.name, cspace, update, seconds))
     report(len(ready), len(wanted), "")
     return ready
 

@@ -96,3 +96,38 @@ def weights_at(dense, theta):
     with mp.workdps(DIGITS):
         powers = [mpf(theta) ** k for k in range(1, len(dense[0]) + 1)]
         return [_dot([mpf(x) for x in row], powers) for row in dense]
+
+
+class RosenbrockStages(Stages):
+    """The elementary weights of a Rosenbrock method in its standard form.
+
+    With Γ = (1/γ − C)⁻¹ the edges at a node of one subtree have β = AΓ + Γ, those at a node of
+    several have α = AΓ (Hairer and Wanner, Solving ODEs II, IV.7, theorem 7.4).
+    """
+
+    def __init__(self, tableau):
+        with mp.workdps(DIGITS):
+            n = tableau.stages
+            self.gammas = (mp.eye(n) / mpf(tableau.gamma) - _square(tableau.C)) ** -1
+            alpha = _square(tableau.A) * self.gammas
+            super().__init__(alpha.tolist())
+            self.B = (alpha + self.gammas).tolist()
+
+    def values(self, tree):
+        if len(tree) == 1 and tree not in self._values:
+            below = self.values(tree[0])
+            self._values[tree] = [_dot(row, below) for row in self.B]
+        return super().values(tree)
+
+    def weight(self, tree, b):
+        """Φ(τ) for weights b of the tableau's kᵢ."""
+        standard = mp.matrix([list(map(mpf, b))]) * self.gammas
+        return _dot(list(standard), self.values(tree))
+
+
+def _square(rows):
+    matrix = mp.zeros(len(rows))
+    for i, row in enumerate(rows):
+        for j, number in enumerate(row):
+            matrix[i, j] = mpf(number)
+    return matrix

@@ -25,8 +25,6 @@ from lierb.errors import (
     TimeGridError,
     UnknownNameError,
 )
-from lierb.kernels.stepping.runge_kutta import method_of
-from lierb.kernels.systems.system_of import plan_of
 from lierb.methods import TABLEAUS
 
 OMEGA = np.array([[6.28, 3.14, 0.63], [5.0, -2.0, 1.0], [-1.0, 4.0, 7.0]])
@@ -260,16 +258,12 @@ def test_right_hand_sides_are_counted(found):
 def test_right_hand_sides_are_the_stages_of_a_step(name):
     """A last stage that the next step begins with is computed anew there; two choose the first."""
     tableau = TABLEAUS[name]
-    plan = plan_of(
-        1, rows=(), cspace="SE3", update="local", stages=tableau.A, weights=tableau.b,
-        multipliers=False,
-    )  # fmt: skip
-    assert compared_runs._evaluations(tableau, False, 10.0) == 10.0 * method_of(plan).last_stage
-    assert compared_runs._evaluations(tableau, True, 10.0) == 10.0 * len(plan.stages) + 2.0
+    scheme = tableau.scheme(is_adaptive=True, interpolates=False)
+    least, most = scheme.last_stage, len(scheme.stages)
+    assert compared_runs._evaluations(tableau, False, 10.0) == 10.0 * least
+    assert compared_runs._evaluations(tableau, True, 10.0) == 10.0 * most + 2.0
     counts = {"BS32": (3, 4), "DP54": (6, 7), "Tsit5": (6, 7), "DOP853": (12, 12)}
-    assert counts.get(name, (method_of(plan).last_stage, len(plan.stages))) == (
-        method_of(plan).last_stage, len(plan.stages),
-    )  # fmt: skip
+    assert counts.get(name, (least, most)) == (least, most)
 
 
 @pytest.mark.slow
@@ -325,7 +319,7 @@ def test_tolerances_make_adaptive_runs(monkeypatch, exact):
         given |= {"pose0": pose0, "twist0": twist0, "t_end": timing.t_end, "method": "RK4"}
         if not timing.is_adaptive:
             return lierb.integrate(model, dt=timing.dt, **given)
-        asked.append((timing.tableau.name, timing.rtol, {*timing.atol}, timing.dt))
+        asked.append((timing.method.name, timing.rtol, {*timing.atol}, timing.dt))
         taken, rejected = steps[timing.rtol]
         result = lierb.integrate(model, dt=T_END / taken, **given)
         summary = result.summary

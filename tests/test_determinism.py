@@ -185,7 +185,7 @@ def test_a_failing_body_leaves_its_neighbours_alone(victim, fault, seen, expecte
     rk4 = lierb.methods.TABLEAUS["RK4"]
     plan = Plan(
         lanes=DEFAULT_LANES, rows=_problem().joint.rows, cspace="SE3", update="local",
-        stages=rk4.A, weights=rk4.b, multipliers=False,
+        method=rk4.scheme(False, False), multipliers=False,
     )  # fmt: skip
     problem = _problem()
     inputs = engine.Inputs(problem, inputs_of(problem.kinds), {"twist": twists}, 17)

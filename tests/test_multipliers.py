@@ -53,7 +53,7 @@ def _random_state(rows, cspace: str, seed: int = 5, slender: float = 1.0):
     rng = np.random.default_rng(seed)
     rk4 = TABLEAUS["RK4"]
     plan = Plan(
-        lanes=1, rows=rows, cspace=cspace, update="local", stages=rk4.A, weights=rk4.b,
+        lanes=1, rows=rows, cspace=cspace, update="local", method=rk4.scheme(False, False),
         multipliers=True,
     )  # fmt: skip
     held = replace(joint("screw"), length=np.array(LENGTH))  # a number for every kind of row

@@ -13,6 +13,7 @@ from lierb.kernels.mechanics.newton_euler import Motion
 from lierb.kernels.numbers.vec import IDENTITY
 from lierb.kernels.systems.plan import UNSTABILISED, Plan
 from lierb.kernels.systems.system_of import system_of
+from lierb.methods import TABLEAUS
 from lierb.model.functions.binding import Column
 from lierb.model.functions.column_names import TAKEN
 from lierb.model.mechanism.plan import mechanism_plan_of
@@ -208,8 +209,8 @@ def of_plan(plan, numbers):
 
 def of_problem(problem, pose, twist):
     plan = Plan(
-        lanes=1, rows=problem.joint.rows, cspace="SE3", update="local", stages=((),),
-        weights=(1.0,), multipliers=False, elements=problem.kinds,
+        lanes=1, rows=problem.joint.rows, cspace="SE3", update="local",
+        method=TABLEAUS["Euler"].scheme(False, False), multipliers=False, elements=problem.kinds,
     )  # fmt: skip
     numbers = problem.quantities | {"pose": pose, "twist": twist}
     for i, element in enumerate(problem.elements):
@@ -218,7 +219,11 @@ def of_problem(problem, pose, twist):
 
 
 def of_mechanism(mechanism, cspace, pose, twist):
-    described = {"update": "local", "stages": ((),), "weights": (1.0,), "multipliers": False}
+    described = {
+        "update": "local",
+        "method": TABLEAUS["Euler"].scheme(False, False),
+        "multipliers": False,
+    }
     cspaces = (cspace,) * len(mechanism.links)
     plan = mechanism_plan_of(
         mechanism, cspaces, UNSTABILISED, elements=mechanism.kinds, **described

@@ -100,6 +100,7 @@ ABOUT_E3 = np.array((0.0, 0.0, SPEED, 0.0, 0.0, 0.0))
 LIMITS = {"lower": -0.5, "upper": 0.5}
 damped = lambda inertia: R * inertia / DT  # damping at the bound
 stiff = lambda inertia: inertia * (I / DT) ** 2
+at_e3 = lambda about, along=0.0: np.array((0.0, 0.0, about, 0.0, 0.0, along))
 # By name: each parameter, with its value at RK4's bound, the others, the joint, and the start.
 AT_BOUND = [
     ("torsional_spring", "stiffness", stiff(ABOUT), {}, HINGE, ABOUT_E3),
@@ -122,6 +123,10 @@ AT_BOUND = [
     ("spring_damper", "stiffness", stiff(MASS), {}, FREE, ALONG_E3),  # without length
     ("spring_damper", "damping", damped(MASS), {"ground_point": (0, 0, 1)}, FREE, ALONG_E3),
     ("spring_damper", "damping", damped(MASS), {}, SLIDE, ALONG_E3),
+    ("bushing", "stiffness", at_e3(stiff(ABOUT), stiff(ALONG)), {}, FREE, ABOUT_E3),
+    ("bushing", "stiffness", np.diag(at_e3(0.0, stiff(ALONG))), {}, SLIDE, ALONG_E3),
+    ("bushing", "damping", at_e3(damped(ABOUT)), {"stiffness": np.zeros(6)}, HINGE, ABOUT_E3),
+    ("bushing", "damping", at_e3(0.0, damped(ALONG)), {"stiffness": np.zeros(6)}, SLIDE, ALONG_E3),
 ]  # fmt: skip
 STIFF = {"stiffness", "damping", "viscous", "coulomb", "linear", "quadratic", "angular"}
 

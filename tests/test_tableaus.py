@@ -10,7 +10,7 @@ import pytest
 
 import lierb
 from lierb.errors import ArgumentError, LierbError, UnknownNameError
-from lierb.methods import TABLEAUS, ButcherTableau, tableau_of
+from lierb.methods import METHODS, TABLEAUS, ButcherTableau, method_named
 
 # ---------------------------------------------------------------- checks of a user's tableau
 
@@ -92,7 +92,7 @@ def test_exponentials_are_lower_rows():
 
 
 @pytest.mark.parametrize("tableau", TABLEAUS.values(), ids=TABLEAUS)
-def test_tableau_of_the_catalogue_is_made_again_from_its_own_numbers(tableau):
+def test_method_named_the_catalogue_is_made_again_from_its_own_numbers(tableau):
     assert replace(tableau) == tableau
 
 
@@ -167,15 +167,15 @@ def test_exponentials_are_rejected(given, named):
         ButcherTableau(**HEUN, exponentials=given)
 
 
-def test_tableau_of_returns_a_users_tableau_itself():
+def test_method_named_returns_a_users_tableau_itself():
     mine = ButcherTableau([[]], [1])
-    assert tableau_of(mine) is mine
+    assert method_named(mine) is mine
 
 
 @pytest.mark.parametrize("method", ["rk4", "RK-4", "dop853", "DOPRI853"])
-def test_tableau_of_suggests_the_nearest_name(method):
+def test_method_named_suggests_the_nearest_name(method):
     with pytest.raises(UnknownNameError, match=r"Did you mean '(RK4|DOP853)'"):
-        tableau_of(method)
+        method_named(method)
 
 
 @pytest.mark.parametrize(
@@ -183,9 +183,9 @@ def test_tableau_of_suggests_the_nearest_name(method):
     [None, 4, ["RK4"], {"RK4"}, np.array(["RK4", "RK38"])],
     ids=["None", "number", "list", "set", "array"],
 )
-def test_tableau_of_rejects_what_is_no_name(method):
+def test_method_named_rejects_what_is_no_name(method):
     with pytest.raises(LierbError, match="method"):
-        tableau_of(method)
+        method_named(method)
 
 
 # ---------------------------------------------------------------- the page
@@ -193,8 +193,8 @@ def test_tableau_of_rejects_what_is_no_name(method):
 
 def page_row(name):
     """Row of a method on the page of methods."""
-    t = TABLEAUS[name]
-    stages = f"{t.stages}, FSAL" if t.is_fsal else f"{t.stages}"
+    t = METHODS[name]
+    stages = f"{t.stages}, FSAL" if t.is_explicit and t.is_fsal else f"{t.stages}"
     output = "–" if t.dense is None else f"{t.dense_order}"
     if t.dense_A:
         further = len(t.dense_A) - (t.dense_A[0] == t.b)  # f at the end is the next step's first
@@ -206,7 +206,7 @@ def test_page_of_methods_lists_what_the_entries_say():
     page = Path(__file__).parents[1] / "docs" / "reference" / "methods.md"
     lines = page.read_text(encoding="utf-8").splitlines()
     assert [line for line in lines if re.match(r"\| \w+ \| \d", line)] == [
-        page_row(name) for name in TABLEAUS
+        page_row(name) for name in METHODS
     ]
 
 

@@ -17,7 +17,7 @@ from lierb.analysis.comparison_tables import QUANTITIES
 from lierb.analysis.magnitudes import kinds_of
 from lierb.analysis.reference import MARGIN, Ends, Reference, normed, rounding
 from lierb.errors import ArgumentError
-from lierb.methods import ButcherTableau
+from lierb.methods import Method
 from lierb.model.base import Model
 from lierb.model.formulation import CSpace, described_cspace
 from lierb.results.columns import as_array
@@ -32,7 +32,7 @@ DRIFTS = {"position": "position_error", "rotation": "rotation_error", "energy": 
 class Run:
     """A method on a c-space, at a step, s, or a tolerance."""
 
-    tableau: ButcherTableau
+    method: Method
     cspace: CSpace
     dt: float | None
     rtol: float | None
@@ -41,7 +41,7 @@ class Run:
     @property
     def label(self) -> str:
         control = f"rtol = {self.rtol:g}" if self.dt is None else f"dt = {self.dt:g} s"
-        return f"{self.tableau.name}, {described_cspace(self.cspace)}, {control}"
+        return f"{self.method.name}, {described_cspace(self.cspace)}, {control}"
 
 
 @dataclass(frozen=True)
@@ -110,10 +110,10 @@ def _row(
         case.norm,
     )
     row: dict[str, Any] = {
-        "method": run.tableau.name, "cspace": described_cspace(run.cspace), "dt": run.dt,
+        "method": run.method.name, "cspace": described_cspace(run.cspace), "dt": run.dt,
         "rtol": run.rtol, "step": run.dt if run.dt is not None else _or_none(case.length / mean),
         "steps": _or_none(mean), "rejected": _or_none(refused),
-        "evaluations": _or_none(_evaluations(run.tableau, run.rtol is not None, mean + refused)),
+        "evaluations": _or_none(_evaluations(run.method, run.rtol is not None, mean + refused)),
         "cpu_time": _or_none(ran.seconds),
         "trajectories": count, "failed": int(missing.sum()),
     }  # fmt: skip
@@ -133,15 +133,15 @@ def _or_none(number: float) -> float | None:
     return number if math.isfinite(number) else None
 
 
-def _evaluations(tableau: ButcherTableau, is_adaptive: bool, steps: float) -> float:
+def _evaluations(method: Method, is_adaptive: bool, steps: float) -> float:
     """Return the number of right-hand sides.
 
     Fixed steps omit the stages that only the error estimate uses. Adaptive steps need all stages,
     and two evaluations to choose the first step.
     """
     if is_adaptive:
-        return tableau.stages * steps + 2.0
-    return (1 + max(i for i, weight in enumerate(tableau.b) if weight)) * steps
+        return method.stages * steps + 2.0
+    return method.evaluations * steps
 
 
 def quantities_of(model: Model) -> list[str]:

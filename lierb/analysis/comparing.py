@@ -29,7 +29,7 @@ from lierb.analysis.reference import (
 from lierb.api import checked_model
 from lierb.errors import ArgumentError, TimeGridError, brief, items_of, require_name
 from lierb.kernels.systems.plan import Stabilisation
-from lierb.methods import TABLEAUS, ButcherTableau, tableau_of
+from lierb.methods import METHODS, Method, method_named
 from lierb.model.base import Model
 from lierb.model.formulation import CSpace, described_cspace
 from lierb.model.mechanism.mechanism import Mechanism
@@ -53,7 +53,7 @@ COUNTED = (
 
 def convergence(
     problem: Problem | Mechanism,
-    methods: str | ButcherTableau | Iterable[str | ButcherTableau] = ("RK4",),
+    methods: str | Method | Iterable[str | Method] = ("RK4",),
     dts: ArrayLike | None = None,
     *,
     twist0: ArrayLike | Mapping[str, ArrayLike],
@@ -81,8 +81,8 @@ def convergence(
     problem : Problem or Mechanism
         As in `integrate`. A batch is integrated as a whole; each trajectory has the same noise in
         every run.
-    methods : str, ButcherTableau or iterable of them, optional
-        Names or tableaus.
+    methods : str, Method or iterable of them, optional
+        Methods, or names of them.
     dts : array_like, shape (m,), optional
         Fixed steps, s; a whole number of each must fit between t0 and t_end. At least one of `dts`
         and `rtols` is required.
@@ -157,7 +157,7 @@ def convergence(
     3
     """
     model = checked_model(problem)
-    tableaus = _tableaus(methods)
+    several = _methods(methods)
     spaces = _cspaces(model, cspaces)
     steps, tolerances = _several("dts", dts), _several("rtols", rtols)
     _check(atol, tolerances, norm, repeats, name, progress)
@@ -168,7 +168,7 @@ def convergence(
     case = Case(model, pose0, twist0, t0, t_end, common, norm, repeats)
     runs = [
         replace(run, options=_options(case, run, atol))
-        for run in _runs(tableaus, spaces, steps, tolerances)
+        for run in _runs(several, spaces, steps, tolerances)
     ]
     given = None if reference is None else given_reference(reference, model, float(t_end))
     with warnings_collected(), _telling(progress, len(runs) + (given is None)) as tell:
@@ -176,7 +176,7 @@ def convergence(
         sizes = sizes_of(model, exact.ends, twist0)
         before = given is None
         rows, failures = compared(case, runs, exact, sizes, partial(_tell_share, tell, before))
-        one_step = case.options(dt=case.length, method=tableaus[0], cspace=spaces[0])
+        one_step = case.options(dt=case.length, method=several[0], cspace=spaces[0])
         overhead = case.timed(one_step) if steps else math.inf
     warn_of_runs(failures)
     measure_every = min(int(measure_every), 2**53)  # no run has more steps
@@ -187,20 +187,20 @@ def convergence(
         "repeats": int(repeats), "measure_every": measure_every, "update": update,
     }  # fmt: skip
     seen = {quantity: sizes[quantity] for quantity in quantities_of(model)}
-    return comparison(rows, tableaus, seen, name, notes, metadata)
+    return comparison(rows, several, seen, name, notes, metadata)
 
 
 # ---- arguments ---------------------------------------------------------------------------------
 
 
-def _tableaus(given: Any) -> list[ButcherTableau]:
-    is_one = isinstance(given, (str, ButcherTableau))
-    methods = (given,) if is_one else items_of("methods", given, "names of methods, or tableaus")
-    tableaus = [tableau_of(method) for method in methods]
-    if not tableaus:
-        raise ArgumentError(f"methods is empty; expected some of {', '.join(TABLEAUS)}")
-    _require_different("methods", [tableau.name for tableau in tableaus])
-    return tableaus
+def _methods(given: Any) -> list[Method]:
+    is_one = isinstance(given, (str, Method))
+    several = (given,) if is_one else items_of("methods", given, "methods, or their names")
+    methods = [method_named(method) for method in several]
+    if not methods:
+        raise ArgumentError(f"methods is empty; expected some of {', '.join(METHODS)}")
+    _require_different("methods", [method.name for method in methods])
+    return methods
 
 
 def _cspaces(model: Model, given: Any) -> list[CSpace]:
@@ -235,23 +235,23 @@ def _require_different(argument: str, given: Sequence[Any]) -> None:
 
 
 def _runs(
-    tableaus: list[ButcherTableau], cspaces: list[CSpace], dts: list[float], rtols: list[float]
+    methods: list[Method], cspaces: list[CSpace], dts: list[float], rtols: list[float]
 ) -> list[Run]:
     """Return the runs: all methods and c-spaces at all steps; adaptive methods at all rtols."""
     if not (dts or rtols):
         raise ArgumentError("neither dts nor rtols is given; give fixed steps, s, or tolerances")
     if rtols and not dts:
-        for tableau in tableaus:
-            if tableau.error is None:
-                pairs = ", ".join(name for name, each in TABLEAUS.items() if each.error is not None)
+        for method in methods:
+            if method.error is None:
+                pairs = ", ".join(name for name, each in METHODS.items() if each.error is not None)
                 raise ArgumentError(
-                    f"{tableau.name} has no embedded pair, which rtols needs; give dts= as well, "
+                    f"{method.name} has no embedded pair, which rtols needs; give dts= as well, "
                     f"or take {pairs}"
                 )
-    runs = [Run(*pair, dt, None) for pair in product(tableaus, cspaces) for dt in dts]
+    runs = [Run(*pair, dt, None) for pair in product(methods, cspaces) for dt in dts]
     runs += [
-        Run(tableau, cspace, None, rtol)
-        for tableau, cspace in product(tableaus, cspaces) if tableau.error is not None
+        Run(method, cspace, None, rtol)
+        for method, cspace in product(methods, cspaces) if method.error is not None
         for rtol in rtols
     ]  # fmt: skip
     if len(runs) > MOST_RUNS:
@@ -275,7 +275,7 @@ def _check(
 
 def _options(case: Case, run: Run, atol: Any) -> Options:
     """Return the options of a run; the error for a step that does not fit names fitting steps."""
-    given = {"method": run.tableau, "cspace": run.cspace}
+    given = {"method": run.method, "cspace": run.cspace}
     if run.dt is None:
         return case.options(rtol=run.rtol, atol=atol, **given)
     length = _length(case.t0, case.t_end)

@@ -25,7 +25,7 @@ from lierb.analysis.comparison_tables import (
 )
 from lierb.analysis.reference import ERRORS
 from lierb.errors import ArgumentError, require_name
-from lierb.methods import ButcherTableau
+from lierb.methods import Method
 from lierb.support.extras import is_installed, require
 from lierb.support.files import folder_of, naming, write_whole
 from lierb.support.representations import Lines, Represented, counted
@@ -231,7 +231,7 @@ class Comparison(Represented):
 
 def comparison(
     rows: Sequence[dict[str, Any]],
-    tableaus: Sequence[ButcherTableau],
+    methods: Sequence[Method],
     sizes: dict[str, float],
     name: str,
     notes: Iterable[str],
@@ -242,7 +242,7 @@ def comparison(
     sizes : characteristic size of each quantity of the problem, the scale of its errors.
     """
     notes = tuple(notes)
-    orders = tuple(observed_orders(rows, {each.name: each.order for each in tableaus}, sizes))
+    orders = tuple(observed_orders(rows, {each.name: each.order for each in methods}, sizes))
     columns = list(rows[0])
     metadata = metadata | {"notes": list(notes), "orders": [each.as_json() for each in orders]}
     schema = pa.schema([_field(each) for each in columns], {"lierb": json.dumps(metadata)})

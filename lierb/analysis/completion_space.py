@@ -24,6 +24,7 @@ from lierb.kernels.mechanics.tree import GROUND, HERE, MASSLESS, Node
 from lierb.kernels.numbers.arithmetic import plain
 from lierb.kernels.numbers.vec import ZERO6, Vec, add, cross_add, mat_t_vec, mat_vec_add, norm, sub
 from lierb.kernels.systems.plan import UNSTABILISED
+from lierb.kernels.systems.scheme import Scheme
 from lierb.model.connections import Connection
 from lierb.model.joints.coordinates import motions_of
 from lierb.model.mechanism.plan import mechanism_plan_of
@@ -78,8 +79,7 @@ class Space:
             cspaces,
             UNSTABILISED,
             update="local",
-            stages=((),),
-            weights=(1.0,),
+            method=Scheme(stages=((),), weights=(1.0,)),
             multipliers=False,
         ).tree
         self.nodes = {node.link: i for i, node in enumerate(self.tree) if node.link != MASSLESS}

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import cmath
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from lierb.kernels.stepping.step_size import DOP853_MIX, SAFETY
 
@@ -23,34 +23,34 @@ _HALVINGS = 60
 _LARGEST = 1e4
 
 Rows = Sequence[Sequence[float]]
+Stages = Callable[[complex], list[complex]]
 
 
-def calibration_of(A: Rows, b: Sequence[float], error: Rows, error_order: int) -> float:
+def calibration_of(stages: Stages, b: Sequence[float], error: Rows, error_order: int) -> float:
     """Ratio of the error after TURNS turns to the tolerance of each step's estimated error.
 
+    stages : h k_i of a step on ẏ = λy from y = 1, by hλ.
     The ratio is rounded to two digits and is at least LEAST.
     """
     aim = _TOLERANCE * SAFETY ** (error_order + 1)
     low, high = 0.0, _LONGEST
     for _ in range(_HALVINGS):
         h = 0.5 * (low + high)
-        low, high = (low, h) if _turned(A, b, error, h)[1] > aim else (h, high)
-    defect, _ = _turned(A, b, error, high)
+        low, high = (low, h) if _turned(stages, b, error, h)[1] > aim else (h, high)
+    defect, _ = _turned(stages, b, error, high)
     total = 2.0 * math.pi * TURNS / high * defect / _TOLERANCE
     return float(f"{min(max(total, LEAST), _LARGEST):.2g}")
 
 
-def _turned(A: Rows, b: Sequence[float], error: Rows, h: float) -> tuple[float, float]:
+def _turned(stages: Stages, b: Sequence[float], error: Rows, h: float) -> tuple[float, float]:
     """Return the error of a step h on ẏ = iy, and the estimate of it."""
-    rates: list[complex] = []
-    for row in A:
-        rates.append(1j * (1.0 + h * _weighted(row, rates)))
-    defect = abs(1.0 + h * _weighted(b, rates) - cmath.exp(1j * h))
-    fine, *coarse = (abs(h * _weighted(row, rates)) for row in error)
+    changes = stages(1j * h)
+    defect = abs(1.0 + _weighted(b, changes) - cmath.exp(1j * h))
+    fine, *coarse = (abs(_weighted(row, changes)) for row in error)
     if coarse and fine > 0.0:
         return defect, fine * fine / math.sqrt(fine * fine + DOP853_MIX * coarse[0] ** 2)
     return defect, fine
 
 
-def _weighted(weights: Sequence[float], rates: Sequence[complex]) -> complex:
-    return sum((w * k for w, k in zip(weights, rates, strict=False)), 0j)
+def _weighted(weights: Sequence[float], changes: Sequence[complex]) -> complex:
+    return sum((w * k for w, k in zip(weights, changes, strict=True)), 0j)

@@ -63,7 +63,7 @@ class Continuation:
         before = self.clock
         if isinstance(before, StepClock) and dt == before.dt:
             return before.origin, before.first_step + before.steps
-        if isinstance(before, LaneTime) and self.plan.embedded is None:
+        if isinstance(before, LaneTime) and not self.plan.is_adaptive:
             span = before.span
             if dt == before.tolerances.dt and self.t0 == span.end:
                 return span.origin, round((span.end - span.origin) / dt)

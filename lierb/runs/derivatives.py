@@ -61,6 +61,11 @@ def require_differentiable(ready: Ready, parameters: tuple[Parameter, ...]) -> N
             f'{own}solver="looped" has no derivatives; take solver="unrolled", which is compiled '
             "for this tree"
         )
+    if not plan.is_explicit:
+        raise ArgumentError(
+            f"{own}{ready.options.timing.method.name} has no derivatives; take an explicit method, "
+            "such as RK4 or DOP853"
+        )
     names = {f.name for e in plan.elements for f in e.functions if not f.is_traced}
     if names:
         raise ArgumentError(

@@ -9,8 +9,10 @@ from typing import Any
 from numpy.typing import ArrayLike
 
 from lierb.errors import ArgumentError, brief, items_of, require_name
+from lierb.kernels.mechanics.elements import UserStates
 from lierb.kernels.systems.formulations import FORMULATIONS
-from lierb.kernels.systems.plan import Stabilisation
+from lierb.kernels.systems.plan import UPDATES, Stabilisation
+from lierb.methods import Method
 from lierb.model.base import Model
 from lierb.model.formulation import (
     CSPACE_NAMES,
@@ -24,7 +26,6 @@ from lierb.runs.time_options import check_periods, checked_seed, timing_of
 from lierb.runs.timing import Timing
 
 RECORDS = ("state", "energy", "multipliers", "reaction")
-UPDATES = ("local", "global", "ambient")
 CHOICES = {
     "cspace": CSPACE_NAMES,
     "update": UPDATES,
@@ -72,12 +73,7 @@ class Options:
         saves = any(time.get(name) is not None for name in ("save_every", "save_at"))
         recorded = _checked_record(record, saves)
         timing = timing_of(has_own_time=model.has_own_time, **time)
-        if timing.tableau.exponentials and update != "local":
-            other = {"global": "keeps one chart", "ambient": "steps without exponentials"}[update]
-            raise ArgumentError(
-                f"{timing.tableau.name} makes each pose of several exponentials and needs "
-                f'update="local"; update="{update}" {other}'
-            )
+        _check_method(timing.method, model, update)
         check_periods(model.controllers, timing)
         space = model.default_cspace if cspace is None else cspace
         formulation = model.formulation(
@@ -108,7 +104,7 @@ class Options:
         timing = self.timing
         options = {
             "dt": timing.dt or None, "t_end": timing.t_end, "t0": timing.t0,
-            "method": timing.tableau.name, "cspace": self.cspace, "update": self.update,
+            "method": timing.method.name, "cspace": self.cspace, "update": self.update,
             "save_every": timing.save_every or None, "measure_every": timing.measure_every,
             "record": self.record, "check": self.check, "solver": self.formulation.solver,
         }  # fmt: skip
@@ -117,6 +113,23 @@ class Options:
         if self.formulation.stabilisation is not None:
             options["stabilise"] = described_stabilisation(self.formulation.stabilisation)
         return options
+
+
+def _check_method(method: Method, model: Model, update: str) -> None:
+    """Raise ArgumentError for a method that cannot integrate the model with this update."""
+    if update not in method.updates:
+        known = " or ".join(f'"{each}"' for each in method.updates)
+        raise ArgumentError(f'method {method.name} needs update={known}, not update="{update}"')
+    if method.is_explicit:
+        return
+    for element in model.kinds:
+        for function in element.functions:
+            moves = not element.is_passive or isinstance(element, UserStates)
+            if moves and not function.is_traced:
+                raise ArgumentError(
+                    f"method {method.name} needs derivatives of {function.name}, which is called "
+                    "body by body; write it so that it is compiled, or take an explicit method"
+                )
 
 
 def check_names(**given: str) -> None:

@@ -108,21 +108,9 @@ def _described_plan(plan: AnyPlan) -> str:
             "units": "SI: kg, m, s, rad, N, N m, J",
             "lanes": DEFAULT_LANES,
             "block": plan.lanes,
-            "tableau": _described_tableau(plan),
+            "tableau": plan.method.described,
         }
     )
-
-
-def _described_tableau(plan: AnyPlan) -> dict[str, Any]:
-    """Return the numbers of the `ButcherTableau` that the run uses."""
-    tableau: dict[str, Any] = {"A": plan.stages, "b": plan.weights}
-    if plan.exponentials:
-        tableau["exponentials"] = plan.exponentials
-    if plan.embedded is not None:
-        tableau |= {"error": plan.embedded.weights, "error_order": plan.embedded.order}
-    if plan.extension is not None:
-        tableau |= {"dense": plan.extension.weights, "dense_A": plan.extension.stages}
-    return tableau
 
 
 # JSON of each model, cached: its arrays cannot change, and digests of large arrays are slow.

@@ -24,7 +24,7 @@ from lierb.kernels.mechanics.newton_euler import BodyConstants, Motion, Paramete
 from lierb.kernels.numbers.arithmetic import plain
 from lierb.kernels.numbers.vec import IDENTITY, UNIT, ZERO3, scale
 from lierb.kernels.numbers.zero import ZERO
-from lierb.methods import ButcherTableau
+from lierb.methods import Method
 from lierb.model.base import Model
 from lierb.model.connections import Connection
 from lierb.model.mechanism.links import Link
@@ -101,18 +101,16 @@ def _is_known(kind: Element) -> bool:
     return type(kind).tangents is not Element.tangents
 
 
-def amplification(tableau: ButcherTableau, z: Complex) -> Complex:
-    """Stability polynomial of the method, R(z) = 1 + z bᵀ(1 − zA)⁻¹(1, …, 1)ᵀ.
+def amplification(method: Method, z: Complex) -> Complex:
+    """Stability function of the method, R(z); of a Runge–Kutta method 1 + z bᵀ(1 − zA)⁻¹(1, …, 1)ᵀ.
 
     z : hλ, scaled down if R would overflow.
     Hairer and Wanner, Solving Ordinary Differential Equations II, IV.2.
     """
-    size, most = np.abs(z), 10.0 ** (LARGEST / tableau.stages)
+    size, most = np.abs(z), 10.0 ** (LARGEST / method.stages)
     z = np.where(size > most, z * (most / np.where(size > 0.0, size, 1.0)), z)
-    stages: list[Any] = []
-    for row in (*tableau.A, tableau.b):
-        stages.append(1.0 + z * sum(a * k for a, k in zip(row, stages, strict=True)))
-    value: Complex = stages[-1]
+    changes = method.linear_stages(z)
+    value: Complex = 1.0 + sum(b * change for b, change in zip(method.b, changes, strict=True))
     return value
 
 
@@ -127,9 +125,9 @@ class _Modes(NamedTuple):
     exponents: Complex
     shares: Array
 
-    def growth(self, tableau: ButcherTableau, steps: float, share: float = 1.0) -> Array:
+    def growth(self, method: Method, steps: float, share: float = 1.0) -> Array:
         """Log growth of each mode in `steps` steps of `share` times the step length."""
-        factors = np.abs(amplification(tableau, share * self.exponents))
+        factors = np.abs(amplification(method, share * self.exponents))
         logarithms: Array = steps * (np.log(factors) - ROUNDING)
         return logarithms
 
@@ -158,7 +156,7 @@ class _OwnForces:
         self, pose0: Starts, twist0: Starts, count: int, timing: Timing, goes_on: bool
     ) -> str:
         """Message of the warning; empty if steps are short enough."""
-        steps = timing.tableau, timing.dt, timing.steps, count
+        steps = timing.method, timing.dt, timing.steps, count
         arrays = () if self.is_alike else (*pose0.values(), *twist0.values())
         start = [array.tobytes() for array in arrays] if count <= FEW or self.is_alike else None
         known_steps, known_start, message = self._last
@@ -174,7 +172,7 @@ class _OwnForces:
             pose0 = {name: items_at(array, members, 2) for name, array in pose0.items()}
             twist0 = {name: items_at(array, members, 1) for name, array in twist0.items()}
         modes = list(those._modes(pose0, twist0, len(members), timing.dt))
-        growths = [each.growth(timing.tableau, timing.steps) for each in modes]
+        growths = [each.growth(timing.method, timing.steps) for each in modes]
         most = [growth.max(initial=0.0) for growth in growths]
         if max(most, default=0.0) <= MOST_GROWTH:
             return ""
@@ -185,7 +183,7 @@ class _OwnForces:
         number = int(members[modes[worst].members[member]])
         whose = f" of trajectory {number}" if count > 1 else ""
         return (
-            f"dt={timing.dt:g} s is beyond the stability bound of {timing.tableau.name} for "
+            f"dt={timing.dt:g} s is beyond the stability bound of {timing.method.name} for "
             f"{force.name}{where}{whose}: its errors grow from step to step; take dt of at most "
             f"{_stable_length(modes, timing):g} s, or adaptive steps (rtol=), which find theirs"
         )
@@ -315,7 +313,7 @@ def _stable_length(modes: list[_Modes], timing: Timing) -> float:
     """Longest step, s, to two digits, with which no mode doubles in the run."""
 
     def is_stable(share: float) -> bool:
-        growths = (each.growth(timing.tableau, timing.steps / share, share) for each in modes)
+        growths = (each.growth(timing.method, timing.steps / share, share) for each in modes)
         return all(growth.max(initial=0.0) <= MOST_GROWTH for growth in growths)
 
     share = next((0.5**k for k in range(1, HALVINGS) if is_stable(0.5**k)), 0.5**HALVINGS)

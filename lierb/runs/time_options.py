@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lierb.errors import ArgumentError, TimeGridError, brief, unknown_name
-from lierb.methods import TABLEAUS, ButcherTableau, tableau_of
+from lierb.methods import METHODS, Method, method_named
 from lierb.model.functions.controllers import Controller
 from lierb.runs.timing import ATOL, BLOCKS, IN_RADII, LEAST_RTOL, Timing
 from lierb.support.arrays import Array, are_finite, as_floats, is_whole
@@ -29,7 +29,7 @@ def timing_of(
     has_own_time: bool,
     dt: float | None = None,
     t0: float = 0.0,
-    method: str | ButcherTableau | None = None,
+    method: str | Method | None = None,
     save_every: int | None = None,
     measure_every: int = 1,
     rtol: float | None = None,
@@ -48,7 +48,7 @@ def timing_of(
     end = checked_time("t_end", t_end, after=start)
     is_adaptive = rtol is not None or atol is not None
     given = (ADAPTIVE_METHOD if is_adaptive else "RK4") if method is None else method
-    tableau = tableau_of(given)
+    method = method_named(given)
     _check_counts(save_every, measure_every)
     times = None if save_at is None else _checked_save_at(save_at, start, end)
     if times is not None and save_every is not None:
@@ -58,7 +58,7 @@ def timing_of(
     has_own_time = has_own_time or times is not None or jumps is not None
     if is_adaptive:
         return _adaptive(
-            tableau, dt, start, end, save_every, int(measure_every), rtol, atol, dt_min, dt_max,
+            method, dt, start, end, save_every, int(measure_every), rtol, atol, dt_min, dt_max,
             most, times, jumps,
         )  # fmt: skip
     for name, got in (("dt_min", dt_min), ("dt_max", dt_max)):
@@ -71,14 +71,14 @@ def timing_of(
     steps = checked_steps(dt, end, start)
     measured, saved = (min(int(every or 0), steps) for every in (measure_every, save_every))
     return Timing(
-        tableau, float(dt), start, end, steps, measured, saved,
+        method, float(dt), start, end, steps, measured, saved,
         max_steps=most, save_at=times, discontinuities=jumps,
         is_of_lanes=has_own_time or most < math.inf,
     )  # fmt: skip
 
 
 def _adaptive(
-    tableau: ButcherTableau,
+    method: Method,
     dt: float | None,
     start: float,
     end: float,
@@ -92,11 +92,11 @@ def _adaptive(
     times: Array | None,
     jumps: Array | None,
 ) -> Timing:
-    if tableau.error is None:
-        able = ", ".join(name for name, each in TABLEAUS.items() if each.error is not None)
+    if method.error is None:
+        able = ", ".join(name for name, each in METHODS.items() if each.error is not None)
         raise ArgumentError(
             f"rtol= and atol= need a method with an embedded one to tell errors by ({able}), not "
-            f"{tableau.name}; give another method=, or dt= for fixed steps"
+            f"{method.name}; give another method=, or dt= for fixed steps"
         )
     if save_every is not None:
         raise ArgumentError(
@@ -110,7 +110,7 @@ def _adaptive(
     if least > longest:
         raise ArgumentError(f"dt_min={dt_min!r} s is longer than dt_max={dt_max!r} s")
     return Timing(
-        tableau, first, start, end, 0, measure_every, 0, relative, _checked_atol(atol, relative),
+        method, first, start, end, 0, measure_every, 0, relative, _checked_atol(atol, relative),
         least, longest, most, times, jumps, is_of_lanes=True,
     )  # fmt: skip
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,8 +12,7 @@ import numpy as np
 from lierb.kernels.stepping.clock import StepClock, time_of
 from lierb.kernels.stepping.lane_clock import Span
 from lierb.kernels.stepping.step_size import Tolerances
-from lierb.kernels.systems.plan import Embedded, Extension
-from lierb.methods import ButcherTableau
+from lierb.methods import Method
 from lierb.model.functions.events import Event
 from lierb.runs.continuation import counted
 from lierb.runs.lane_engine import LaneTime
@@ -36,7 +35,7 @@ class Timing:
     is_of_lanes : True if each trajectory has its own clock.
     """
 
-    tableau: ButcherTableau
+    method: Method
     dt: float
     t0: float
     t_end: float
@@ -65,28 +64,15 @@ class Timing:
 
         has_jumps : True if elements may jump at times that are their parameters.
         """
-        tableau = self.tableau
-        fields: dict[str, Any] = {
-            "stages": tableau.A,
-            "weights": tableau.b,
-            "exponentials": tableau.exponentials or (),
-        }
-        if not self.is_of_lanes:
-            return fields
         interpolates = has_events or self.saves
-        embedded = None
-        if self.is_adaptive:
-            assert tableau.error is not None
-            assert tableau.error_order is not None
-            embedded = Embedded(_rows(tableau.error), tableau.error_order)
-        extension = None
-        if interpolates and tableau.dense is not None:
-            extension = Extension(_rows(tableau.dense_A), _rows(tableau.dense))
-        return fields | {
-            "clock": "lanes", "embedded": embedded, "extension": extension,
+        if not self.is_of_lanes:
+            return {"method": self.method.scheme(False, False)}
+        return {
+            "method": self.method.scheme(self.is_adaptive, interpolates),
+            "clock": "lanes",
             "interpolates": interpolates,
             "jumps": has_jumps or self.discontinuities is not None,
-        }  # fmt: skip
+        }
 
     def clock(self) -> StepClock:
         """Return the clock of fixed steps, shared by all lanes."""
@@ -111,7 +97,7 @@ class Timing:
                 save_at = clock.saved_times()
             else:
                 save_at = np.clip(save_at, span.start, span.end)
-        share = 1.0 / self.tableau.calibration
+        share = 1.0 / self.method.calibration
         rtol = max(share * (self.rtol or 0.0), LEAST_RTOL)
         given = dict(zip(BLOCKS, self.atol or (0.0,) * len(BLOCKS), strict=True))
         default = ATOL * (self.rtol or 0.0)
@@ -148,7 +134,3 @@ class Timing:
         if self.discontinuities is not None:
             options["discontinuities"] = self.discontinuities
         return options
-
-
-def _rows(weights: Sequence[Sequence[float]]) -> tuple[tuple[float, ...], ...]:
-    return tuple(tuple(row) for row in weights)

@@ -14,7 +14,7 @@ import pytest
 
 import lierb
 from clocks.truths import DATA, distance, problem_of, reference, states_of
-from lierb.kernels.stepping.runge_kutta import beside_the_step
+from lierb.kernels.stepping.stages import beside_the_step
 
 FACTOR = 30.0
 END = {"heavy_top": "0.5", "free_body": "2", "fast_top": "0.05", "universal": "0.5"}  # about a turn

@@ -15,7 +15,7 @@ from lierb.compiler.stamp import described, parts, source_stamp
 from lierb.compiler.tags import Tag, TagType
 from lierb.kernels.functions.fingerprint import modules_named
 from lierb.kernels.loops import blocks as driver
-from lierb.kernels.systems import plan
+from lierb.kernels.systems import plan, scheme
 
 DRIVER = driver.__name__
 
@@ -227,14 +227,14 @@ def test_stamp_of_a_tag_is_of_the_modules_of_all_its_classes():
                     rows=(),
                     cspace="SE3",
                     update="local",
-                    stages=(),
-                    weights=(),
+                    method=scheme.Scheme(stages=(), weights=()),
                     multipliers=False,
                 ),
             ),
         )
     )
-    assert stamp_of(within) == source_stamp(*sorted((__name__, plan.Plan.__module__)))
+    modules = sorted((__name__, plan.Plan.__module__, scheme.Scheme.__module__))
+    assert stamp_of(within) == source_stamp(*modules)
 
 
 def limited(x):

@@ -31,8 +31,7 @@ from cases import RECORD
 from scipy.spatial.transform import Rotation
 
 import lierb
-from lierb import errors
-from lierb import methods as tableaus
+from lierb import errors, methods
 from lierb.analysis import convergence
 from lierb.kernels.mechanics.rows import JOINT_ROWS, Point
 from lierb.model.mechanism.plan import cspaces_of
@@ -319,7 +318,7 @@ def _each_call() -> Iterator[Call]:
     yield Call("ButcherTableau", lierb.ButcherTableau, triangle | more, 4, ("A", "b"))
     yield Call("ButcherTableau", lierb.ButcherTableau, triangle | pair, 2, ("A", "b"))
     yield Call("ButcherTableau", lierb.ButcherTableau, free, 1, ("A", "b"))
-    yield Call("tableau_of", tableaus.tableau_of, {"method": "RK4"}, 0.5, ("method",))
+    yield Call("method_named", methods.method_named, {"method": "RK4"}, 0.5, ("method",))
 
     lierb.lie.so3.exp(vector)  # compiled before any call is timed
     yield Call("so3.exp", lierb.lie.so3.exp, {"X": vector}, 2, ("X",))

@@ -13,6 +13,7 @@ from lierb.kernels.mechanics import elements as kinds
 from lierb.kernels.systems.one_body import BodyMotion
 from lierb.kernels.systems.plan import Plan
 from lierb.kernels.systems.system_of import system_of
+from lierb.methods import TABLEAUS
 from lierb.model.functions.tracing import ARGUMENTS
 
 LAMP = (("brightness", ()),)
@@ -80,7 +81,8 @@ ELEMENTS = (
     kinds.UserController(made(lit, ("params",), (("level", ()),), outputs=(LAMP,)), (), LAMP),
     kinds.UserController(ATTITUDE, MEMORY, TORQUE),
 )
-STEPS = {"lanes": 1, "update": "local", "stages": ((),), "weights": (1.0,), "multipliers": False}
+EULER = TABLEAUS["Euler"].scheme(is_adaptive=False, interpolates=False)
+STEPS = {"lanes": 1, "update": "local", "method": EULER, "multipliers": False}
 PLAN = Plan(rows=(), cspace="SE3", elements=ELEMENTS, **STEPS)
 SYSTEM = system_of(PLAN)
 

@@ -61,8 +61,8 @@ def hot_loop(request) -> SimpleNamespace:
     joint, cspace, solver, expected = PLANS[request.param]
     method = TABLEAUS["RK4"]
     plan = plan_of(
-        DEFAULT_LANES, rows=JOINTS[joint].rows, cspace=cspace, update="local", stages=method.A,
-        weights=method.b, multipliers=False, solver=solver,
+        DEFAULT_LANES, rows=JOINTS[joint].rows, cspace=cspace, update="local",
+        method=method.scheme(False, False), multipliers=False, solver=solver,
     )  # fmt: skip
     jobs = np.zeros(1, JOB)
     signature = tuple(

@@ -20,8 +20,10 @@ from lierb.kernels.systems.state import Slopes, Units
 from lierb.kernels.systems.system import System
 from lierb.kernels.systems.tree_inputs import charts_of
 from lierb.kernels.systems.tree_system import TreeFormulation
+from lierb.methods import TABLEAUS
 
-STEPS = {"lanes": 1, "update": "local", "stages": ((),), "weights": (1.0,), "multipliers": False}
+EULER = TABLEAUS["Euler"].scheme(is_adaptive=False, interpolates=False)
+STEPS = {"lanes": 1, "update": "local", "method": EULER, "multipliers": False}
 H = 0.25  # s, with rates of 1 rad/s and 1 m/s
 ROUNDING = 1e-14  # of matrices with entries of about 1: some tens of operations
 

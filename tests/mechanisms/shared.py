@@ -15,6 +15,7 @@ from lierb.kernels.systems.plan import UNSTABILISED
 from lierb.kernels.systems.state import State
 from lierb.kernels.systems.system_of import system_of
 from lierb.kernels.systems.tree_system import TreeFormulation
+from lierb.methods import TABLEAUS
 from lierb.model.mechanism.plan import mechanism_plan_of
 
 GRAVITY = (0.0, 0.0, -9.81)
@@ -72,7 +73,7 @@ def in_python(
     """Formulas, constants and start of a mechanism, or of the first of a batch, on floats."""
     plan = mechanism_plan_of(
         mechanism, (cspace,) * len(mechanism.links), UNSTABILISED, elements=mechanism.kinds,
-        update="local", stages=((),), weights=(1.0,), multipliers=False,
+        update="local", method=TABLEAUS["Euler"].scheme(False, False), multipliers=False,
     )  # fmt: skip
     given = dict(mechanism.quantities)
     for i, name in enumerate(mechanism.names):

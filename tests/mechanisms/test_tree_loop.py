@@ -13,7 +13,7 @@ from lierb.compiler.entries import kernels_loaded
 from lierb.errors import ArgumentError, FailedTrajectoryWarning
 from lierb.kernels.numbers.vec import Vec
 from lierb.kernels.stepping.method import Interval
-from lierb.kernels.stepping.runge_kutta import method_of
+from lierb.kernels.stepping.method_of import method_of
 from lierb.kernels.systems.system_of import system_of
 from lierb.runs import engine, lane_engine
 from lierb.runs.options import Options

@@ -18,7 +18,7 @@ from lierb.kernels.numbers.arithmetic import (
 from lierb.kernels.numbers.dual import values
 from lierb.kernels.numbers.zero import ZERO
 from lierb.kernels.stepping.method import Interval
-from lierb.kernels.stepping.runge_kutta import method_of
+from lierb.kernels.stepping.method_of import method_of
 from lierb.kernels.systems.derivatives import on_values
 from lierb.kernels.systems.plan import AnyPlan
 from lierb.kernels.systems.state import NON_FINITE, OK, RAISED, SINGULAR, State

@@ -11,7 +11,7 @@ from lierb.kernels.loops.record import Record, observe, with_all_parts, without_
 from lierb.kernels.numbers.arithmetic import absolute, all_lanes, any_lanes, load, store, where
 from lierb.kernels.stepping.lane_clock import LaneClock, Trial, rounding_at
 from lierb.kernels.stepping.method import Interval
-from lierb.kernels.stepping.runge_kutta import method_of
+from lierb.kernels.stepping.method_of import method_of
 from lierb.kernels.stepping.step_size import parts_to_watch
 from lierb.kernels.systems.derivatives import on_values
 from lierb.kernels.systems.extra_states import Control, with_signals
@@ -24,7 +24,7 @@ from lierb.kernels.tracing.trace import kernel
 
 def slopes_between(plan: AnyPlan, body: Any, state: State, made: Made, trial: Trial) -> Any:
     """Return the slopes of the continuous extension."""
-    if not plan.interpolates or plan.extension is None:
+    if not plan.is_continuous:
         return ()
     at = Interval(*inside(plan, trial), trial.h)
     return method_of(plan).extended(system_of(plan), body, state, at, made.slopes)

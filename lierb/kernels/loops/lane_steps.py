@@ -49,7 +49,7 @@ from lierb.kernels.stepping.lane_clock import (
     trial_of,
 )
 from lierb.kernels.stepping.method import Interval
-from lierb.kernels.stepping.runge_kutta import method_of
+from lierb.kernels.stepping.method_of import method_of
 from lierb.kernels.stepping.step_size import (
     Tolerances,
     longest_step,
@@ -92,7 +92,7 @@ def next_trial(plan: AnyPlan, body: Any, lanes: Lanes, stop: Any, active: Any) -
         stop = minimum(stop, time)
     for time in system_of(plan).jumps(body):
         stop = sooner(lanes, stop, time)
-    if plan.embedded is not None:
+    if plan.is_adaptive:
         longest = longest_step(plan, body, state, state, clock.t, clock.h)
         stop = stop if longest is None else minimum(stop, clock.t + longest)
     return trial_of(plan, clock, stop, active)
@@ -129,20 +129,19 @@ class Made(NamedTuple):
 def attempted(plan: AnyPlan, body: Any, lanes: Lanes, trial: Trial, limits: Tolerances) -> Made:
     """Try a step."""
     state, body = lanes.state, with_rank(plan, body, lanes.record)
-    is_continuous = plan.interpolates and plan.extension is not None
-    all_stages = is_continuous or plan.embedded is not None
+    all_stages = plan.is_continuous or plan.is_adaptive
     at = Interval(*inside(plan, trial), trial.h)
     made = method_of(plan).step(system_of(plan), body, state, at, all_stages)
     square: Any = ZERO
     correction: Any = ZERO
-    if plan.embedded is not None:
+    if plan.is_adaptive:
         body, before, seen = values(body), values(state), values(made)
         square = squared_error(plan, body, before, seen.state, seen.slopes, trial.h, limits)
         is_first = lanes.clock.steps + lanes.clock.ahead < 0.5
         correction = squared_correction(
             plan, body, before, seen.stabilised, trial.h, limits, is_first
         )
-    slopes = made.slopes if is_continuous else ()
+    slopes = made.slopes if plan.is_continuous else ()
     moved = with_all_parts(plan, made.state)
     return Made(moved, slopes, values(made.singular), square, correction)
 
@@ -178,7 +177,7 @@ def decided(
         square = where(too_large & (made.correction > square), made.correction, square)
         singular = where(too_large, 1.0, singular)
     clock, longest = lanes.clock, None
-    if plan.embedded is not None:
+    if plan.is_adaptive:
         body, before = values(body), values(lanes.state)
         longest = longest_step(plan, body, before, moved, clock.t, clock.h)
     verdict = judged(plan, clock, trial, fine, singular, square, longest, limits, active)

@@ -199,7 +199,8 @@ def by_chain_rule(formula: Callable[[Any], Any]) -> Callable[[Any], Any]:
         if type(x) is not Dual or not x.parts:
             return formula(x)
         results = formula(Dual(x.value, (1.0,)))
-        return alike(results, (x.along(parts_of(y)[0], value_of(y)) for y in results))
+        pairs = ((y, parts_of(y)) for y in results)
+        return alike(results, (x.along(*part, value_of(y)) if part else y for y, part in pairs))
 
     return evaluated
 

@@ -109,7 +109,7 @@ def first_clock(
     """Return the clock at the start, with no row due.   zero : 0 in each lane."""
     start, length = zero + span.start, zero + (span.end - span.start)
     h = zero + limits.dt
-    if plan.embedded is not None:
+    if plan.is_adaptive:
         chosen = first_step(plan, body, state, start, length, limits)
         chosen = where(h > 0.0, h, chosen)
         h = within(chosen, limits)
@@ -135,7 +135,7 @@ def continued(
     ends : LANE_END; NaN if the run before had one clock for all lanes.
     """
     anchor, counted, h, before, ahead = (ends[field.name][0] for field in LANE_END.fields)
-    if plan.embedded is None:
+    if not plan.is_adaptive:
         same = h == clock.h
         return clock._replace(
             anchor=where(same, anchor, clock.anchor),
@@ -160,7 +160,7 @@ def trial_of(plan: AnyPlan, clock: LaneClock, stop: Any, active: Any) -> Trial:
     """
     left = stop - clock.t
     reaches = clock.h * (1.0 + NEARLY) >= left
-    if plan.embedded is None:
+    if not plan.is_adaptive:
         reached = clock.anchor + clock.h * (clock.counted + 1.0)
         end = where(reaches, stop, reached)
         is_whole = absolute(left - clock.h) <= rounding_at(absolute(stop) + clock.h)
@@ -200,7 +200,7 @@ def judged(
     if plan.calls_functions:
         raised = running & (calls.exception_flags(clock.t) > calls.SUPPRESSED)
     worse = where(singular > 0.5, float(SINGULAR), float(NON_FINITE))
-    if plan.embedded is None:
+    if not plan.is_adaptive:
         return _fixed(clock, trial, fine, worse, raised, running)
     steps = clock.steps
     meets = fine & (square <= 1.0) & (trial.end > trial.start)  # false for NaN

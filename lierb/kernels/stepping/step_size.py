@@ -24,7 +24,7 @@ from lierb.kernels.numbers.arithmetic import (
 from lierb.kernels.numbers.vec import Vec, dot
 from lierb.kernels.numbers.zero import ZERO, is_zero
 from lierb.kernels.stepping.method import Defect
-from lierb.kernels.stepping.runge_kutta import method_of
+from lierb.kernels.stepping.method_of import method_of
 from lierb.kernels.systems.extra_states import in_states
 from lierb.kernels.systems.plan import AnyPlan
 from lierb.kernels.systems.signals import events_of
@@ -128,7 +128,7 @@ def squared_error(
         fine, coarse = estimates  # err² = e₅⁴ / (e₅² + 0.01 e₃²)
         total = fma(DOP853_MIX, coarse, fine)
         error = where(total > 0.0, fine * fine / where(total > 0.0, total, 1.0), fine)
-    if any(element.bounds_steps for element in plan.acting):
+    if plan.is_explicit and any(element.bounds_steps for element in plan.acting):
         is_rough = _is_rough(plan, body, state, moved, slopes, h)
         error = where(is_rough, maximum(error, ROUGH_ERROR), error)
     return error
@@ -140,8 +140,8 @@ def _estimates(plan: AnyPlan, body: Any, slopes: Slopes, h: Any, scales: _Scales
         for defect in method_of(plan).defects(system_of(plan), body, slopes, h):
             yield _largest(plan, body, defect, scales)
         return
-    assert plan.embedded is not None
-    for row in plan.embedded.weights:
+    assert plan.method.embedded is not None
+    for row in plan.method.embedded.weights:
         weights = {j: h * weight for j, weight in enumerate(row) if weight != 0.0}
         yield _largest_of(body, in_memory(plan).slope_squares(body, weights), (), scales)
 
@@ -321,8 +321,8 @@ def change(plan: AnyPlan, square: Any, before: Any, accepted: Any) -> Change:
 
 def _power_of(plan: AnyPlan) -> int:
     """Return the power of h in the error."""
-    assert plan.embedded is not None
-    return plan.embedded.order + 1
+    assert plan.method.embedded is not None
+    return plan.method.embedded.order + 1
 
 
 def first_step(

@@ -46,7 +46,7 @@ class SaddlePoint(OneBody):
 
     @property
     def takes_small_angle_steps(self) -> bool:
-        return bool(self.invariant) and len(self.plan.stages) <= SMALL_ANGLE_STAGES
+        return bool(self.invariant) and len(self.plan.method.stages) <= SMALL_ANGLE_STAGES
 
     @cached_property
     def invariant(self) -> tuple[int, ...]:
@@ -54,6 +54,8 @@ class SaddlePoint(OneBody):
         fixed = fixed_axes(self.plan.rows)
         holds = self.plan.cspace == "SE3" and holds_a_point(self.plan.rows)
         return (*fixed, 3, 4, 5) if holds else fixed
+
+    free = (0, 1, 2, 3, 4, 5)
 
     def settled(
         self, body: BodyConstants, parameters: Parameters, twist: Vec, chart: Chart, velocity: Vec
@@ -104,6 +106,10 @@ class Subgroup(OneBody):
     @cached_property
     def slots(self) -> subgroup.Slots:
         return subgroup.slots_of(self.plan.rows)
+
+    @property
+    def free(self) -> tuple[int, ...]:
+        return tuple(i for i, slot in enumerate(self.slots) if slot >= 0)
 
     @property
     def is_light(self) -> bool:
@@ -195,4 +201,4 @@ FORMULATIONS: dict[str, type[SaddlePoint | Subgroup]] = {
 
 def is_short(plan: Plan) -> bool:
     """Return whether a step has few stages and the joint few degrees of freedom."""
-    return len(plan.stages) * (6 - len(plan.rows)) <= 12
+    return len(plan.method.stages) * (6 - len(plan.rows)) <= 12

@@ -206,6 +206,9 @@ class OneBody(StateArithmetic):
     def in_algebra(self, body: BodyConstants, x: Vec) -> Vec:
         return x
 
+    def completed(self, body: BodyConstants, v_or_mu: Vec) -> Vec:
+        return v_or_mu
+
     def chart_gravity(self, body: BodyConstants, chart: Chart) -> Vec:
         return quaternion.rotated_back(chart[0], body.gravity)
 

@@ -13,29 +13,9 @@ from lierb.kernels.mechanics.newton_euler import CSPACES, SE3, SO3xR3
 from lierb.kernels.mechanics.rows import Row, Rows
 from lierb.kernels.mechanics.tree import GROUND, Connection, Node
 from lierb.kernels.mechanics.tree_nodes import JointKind, Kind
+from lierb.kernels.systems.scheme import ExplicitScheme, Scheme
 
-Stages = tuple[tuple[float, ...], ...]  # rows of weights of the stages before
-
-
-@dataclass(frozen=True)
-class Embedded:
-    """Error estimate of a step.
-
-    weights : one row, b − b̂, or two rows, E₅ and E₃ of DOP853.   order : order of b̂.
-    """
-
-    weights: Stages
-    order: int
-
-
-@dataclass(frozen=True)
-class Extension:
-    """A continuous extension: further stages, and each stage's weight as a polynomial in θ,
-    Σ weights[i][k] θᵏ⁺¹.
-    """
-
-    stages: Stages
-    weights: Stages
+UPDATES = ("local", "global", "ambient")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,10 +24,9 @@ class AnyPlan(Tag):
 
     update : "local" or "global", coordinates X of a step's chart or of a chart for many steps;
         "ambient", coordinates Y of a step's chart (`lierb.kernels.groups.ambient`).
-    stages, weights : A, its strictly lower triangle row by row, and b of the Butcher tableau.
+    method : the coefficients of the method.
     multipliers, reaction : True to record λ, and the joints' wrenches.
     elements : forces except gravity, constraints except the joints', and observables.
-    exponentials : weights of a commutator-free method, for each stage, then for the end.
     clock : "steps", one clock for all lanes, or "lanes", a clock for each lane.
     interpolates : whether states between steps are needed, for output and events.
     jumps : whether elements may jump at given times, at which steps then end.
@@ -56,15 +35,11 @@ class AnyPlan(Tag):
 
     lanes: int
     update: str
-    stages: Stages
-    weights: tuple[float, ...]
+    method: Scheme
     multipliers: bool
     reaction: bool = False
     elements: tuple[Element, ...] = ()
-    exponentials: tuple[Stages, ...] = ()
     clock: str = "steps"
-    embedded: Embedded | None = None
-    extension: Extension | None = None
     interpolates: bool = False
     jumps: bool = False
     moving: tuple[str, ...] = ()
@@ -91,12 +66,32 @@ class AnyPlan(Tag):
     def _digest(self) -> int:
         return hash(tuple(getattr(self, field.name) for field in fields(self)))
 
-    def __hash__(self) -> int:  # computed once: hashing a tableau's numbers takes time
+    def __hash__(self) -> int:  # computed once: hashing many members takes time
         return self._digest
 
     @property
     def has_lane_clocks(self) -> bool:
         return self.clock == "lanes"
+
+    @property
+    def is_explicit(self) -> bool:
+        """True for explicit Runge–Kutta methods, whose slopes are rates of the stages."""
+        return isinstance(self.method, ExplicitScheme)
+
+    @property
+    def has_exponentials(self) -> bool:
+        """True for commutator-free methods."""
+        return isinstance(self.method, ExplicitScheme) and bool(self.method.exponentials)
+
+    @property
+    def is_adaptive(self) -> bool:
+        """True if the length of each step depends on its error estimate."""
+        return self.method.embedded is not None
+
+    @property
+    def is_continuous(self) -> bool:
+        """True if states between steps are those of a continuous extension."""
+        return self.interpolates and self.method.extension is not None
 
     @property
     def is_local(self) -> bool:

@@ -134,6 +134,15 @@ class System(Protocol[Body, Motion]):
     def silenced(self, body: Body, v_or_mu: Vec, alive: Any) -> Vec:
         """V or μ, NaN where a trajectory is not alive; it spreads to the pose in the next step."""
 
+    # ---- independent numbers ----
+
+    @property
+    def free(self) -> tuple[int, ...]:
+        """Components of X, and of V or μ, that are independent."""
+
+    def completed(self, body: Body, v_or_mu: Vec) -> Vec:
+        """V or μ (n,) with the components that follow from the independent ones."""
+
     # ---- error control ----
 
     def in_algebra(self, body: Body, x: Vec) -> Vec:

@@ -43,7 +43,7 @@ def takes_small_angle_steps(plan: AnyPlan) -> bool:
     They must not call functions that may raise. With derivatives the second kernel does not pay.
     """
     calls = any(not f.is_traced for element in plan.acting for f in element.functions)
-    is_plain = plan.update == "local" and not calls and not plan.moving
+    is_plain = plan.is_explicit and plan.update == "local" and not calls and not plan.moving
     return is_plain and system_of(plan).takes_small_angle_steps
 
 

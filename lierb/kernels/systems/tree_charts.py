@@ -151,10 +151,22 @@ class TreeCharts(StateArithmetic):
             inside += part
         return tuple(inside)
 
+    @property
+    def free(self) -> tuple[int, ...]:
+        slots = [slot for node in self.plan.tree for slot in self._slots(node)]
+        return tuple(i for i, slot in enumerate(slots) if slot >= 0)
+
+    @staticmethod
+    def _slots(node: Node) -> tuple[int, ...]:
+        return node.slots if node.is_reduced else FREE
+
+    def completed(self, body: TreeConstants, v_or_mu: Vec) -> Vec:
+        return self.in_algebra(body, v_or_mu)
+
     def tidied(self, body: TreeConstants, chart: Charts) -> Charts:
         """Renormalise the quaternions; project poses of screw joints onto their subgroups."""
         return tuple(
-            tidied(node.slots if node.is_reduced else FREE, each, constants.pitch)
+            tidied(self._slots(node), each, constants.pitch)
             for node, constants, each in zip(self.plan.tree, body.nodes, chart, strict=True)
         )
 

@@ -47,7 +47,7 @@ class TreeFormulation(Projection, TreeMeasures):
         save nothing. The second step adds half to the compile time.
         """
         plan = self.plan
-        is_small = len(plan.tree) * len(plan.stages) <= SMALL_ANGLE_STAGES
+        is_small = len(plan.tree) * len(plan.method.stages) <= SMALL_ANGLE_STAGES
         is_plain = not self.rows and plan.stabilisation.kind == "none"
         return is_small and is_plain and not any(node.is_reduced for node in plan.tree)
 

@@ -170,7 +170,8 @@ def joint_kind_of(plan: MechanismPlan, i: int) -> JointKind:
 
 def slopes_of(plan: AnyPlan) -> int:
     """Number of slopes of a step; those of a state at rest in memory come behind."""
-    return len(plan.stages) + (len(plan.extension.stages) if plan.extension else 0)
+    extension = plan.method.extension
+    return len(plan.method.stages) + (len(extension.stages) if extension else 0)
 
 
 def _stored(kind: Kind) -> tuple[int, int]:

@@ -12,9 +12,10 @@ Each force is a class with name, parameters and formulas, and a function of that
 Studies use the same names.
 """
 
-from lierb.model.forces import friction, limits, motors, springs, wrenches
+from lierb.model.forces import bushings, friction, limits, motors, springs, wrenches
 from lierb.model.forces.built_in import UNITS
 from lierb.model.forces.built_in import BuiltIn as BuiltIn
+from lierb.model.forces.bushings import *  # noqa: F403
 from lierb.model.forces.friction import *  # noqa: F403
 from lierb.model.forces.limits import *  # noqa: F403
 from lierb.model.forces.motors import *  # noqa: F403
@@ -26,6 +27,7 @@ from lierb.model.functions.wrenches import Force as Force
 __all__: list[str] = []
 __all__ += wrenches.__all__
 __all__ += springs.__all__
+__all__ += bushings.__all__
 __all__ += friction.__all__
 __all__ += limits.__all__
 __all__ += motors.__all__

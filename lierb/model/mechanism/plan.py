@@ -140,7 +140,7 @@ def why_unrolled(plan: MechanismPlan) -> str:
         "stops, jumps and unknown functions of the pose, with adaptive steps": plan.has_lane_clocks
         and any(e.bounds_steps or e.discontinuities for e in plan.elements),
         f'update="{plan.update}"': plan.update != "local",
-        "a commutator-free method": bool(plan.exponentials),
+        "this method": not plan.is_explicit or plan.has_exponentials,
         "stabilisation": plan.stabilisation.kind != "none",
     }
     return next((reason for reason, applies in reasons.items() if applies), "")

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from lierb.analysis.convergence import ROUNDING_FLOOR
-from lierb.methods import tableau_of
+from lierb.methods import method_named
 from lierb.results.panels import MOST_KEYS, Key, Sheet, label_lines, log_axes, order_lines, positive
 from lierb.results.plots import MATH_NAMES
 from lierb.studies.description.study import Study
@@ -62,7 +62,7 @@ def _draw_orders(
                        linewidth=2.2 if n == 0 else 1.2)  # fmt: skip
         ends += [(key.label, key.colour, dts[-1], y) for y in drawn[-1, :1] if np.isfinite(y)]
         median, size = drawn[-1, 0], of[-1].sizes[kind]
-        if (order := tableau_of(method).order) and median > ROUNDING_FLOOR * size:
+        if (order := method_named(method).order) and median > ROUNDING_FLOOR * size:
             lines[order] = min(lines.get(order, np.inf), median)
     order_lines(panel, lines, dts)
     panel.set_xlabel("Δt [s]")

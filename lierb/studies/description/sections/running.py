@@ -6,7 +6,7 @@ from typing import Literal
 
 from pydantic import ConfigDict, Field
 
-from lierb.runs.options import UPDATES
+from lierb.kernels.systems.plan import UPDATES
 from lierb.runs.time_options import RTOL
 from lierb.studies.description.sections.fields import SECTION, Count, Names, Section, Several
 from lierb.studies.description.times import SaveAt, saved_times

@@ -1,0 +1,106 @@
+"""Schemes: the coefficients of one-step methods, on which compiled code is specialised."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from functools import cached_property
+from typing import Any
+
+Stages = tuple[tuple[float, ...], ...]  # rows of weights of the stages before
+
+
+@dataclass(frozen=True)
+class Embedded:
+    """Error estimate of a step.
+
+    weights : one row, b − b̂, or two rows, E₅ and E₃ of DOP853.   order : order of b̂.
+    """
+
+    weights: Stages
+    order: int
+
+
+@dataclass(frozen=True)
+class Extension:
+    """A continuous extension: further stages, and each stage's weight as a polynomial in θ,
+    Σ weights[i][k] θᵏ⁺¹.
+    """
+
+    stages: Stages
+    weights: Stages
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scheme:
+    """Coefficients of a method with stages: kᵢ at y + h Σ stages[i][j] kⱼ, end at y + h Σ bᵢ kᵢ.
+
+    stages : strictly lower triangle of a matrix, row by row; rows for the error estimate are last.
+    weights : b.
+    """
+
+    stages: Stages
+    weights: tuple[float, ...]
+    embedded: Embedded | None = None
+    extension: Extension | None = None
+
+    @cached_property
+    def _digest(self) -> int:
+        return hash(tuple(getattr(self, field.name) for field in fields(self)))
+
+    def __hash__(self) -> int:  # computed once: hashing many numbers takes time
+        return self._digest
+
+    @property
+    def described(self) -> dict[str, Any]:
+        """Arguments of the class in `lierb.methods` that make the same method."""
+        numbers: dict[str, Any] = {"A": self.stages, "b": self.weights}
+        if self.embedded is not None:
+            numbers |= {"error": self.embedded.weights, "error_order": self.embedded.order}
+        if self.extension is not None:
+            numbers["dense"] = self.extension.weights
+        return numbers
+
+    @property
+    def last_stage(self) -> int:
+        """Number of stages needed without error estimate and dense output."""
+        return max(i for i, weight in enumerate(self.weights, 1) if weight != 0.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExplicitScheme(Scheme):
+    """Explicit Runge–Kutta method with the matrix A and weights b of its Butcher tableau.
+
+    exponentials : rows of weights of a commutator-free method, for each stage, then for the end.
+    """
+
+    exponentials: tuple[Stages, ...] = ()
+
+    __hash__ = Scheme.__hash__
+
+    @property
+    def described(self) -> dict[str, Any]:
+        numbers = super().described
+        if self.exponentials:
+            numbers["exponentials"] = self.exponentials
+        if self.extension is not None:
+            numbers["dense_A"] = self.extension.stages
+        return numbers
+
+
+@dataclass(frozen=True, kw_only=True)
+class RosenbrockScheme(Scheme):
+    """Rosenbrock method: (1 − γhJ) kᵢ = γ (f(t + αᵢ h, y + h Σ Aᵢⱼ kⱼ) + Σ Cᵢⱼ kⱼ + γᵢ h ∂f/∂t).
+
+    stages : A.   couplings : C.   nodes, late : αᵢ and γᵢ.
+    """
+
+    gamma: float
+    couplings: Stages
+    nodes: tuple[float, ...]
+    late: tuple[float, ...]
+
+    __hash__ = Scheme.__hash__
+
+    @property
+    def described(self) -> dict[str, Any]:
+        return {**super().described, "C": self.couplings, "gamma": self.gamma}

@@ -1,0 +1,147 @@
+"""The common face of all methods: what a run reads of a method, whatever its family."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from functools import cached_property
+from typing import Any
+
+from lierb.errors import ArgumentError
+from lierb.kernels.systems.plan import UPDATES
+from lierb.kernels.systems.scheme import Embedded, Extension, Scheme, Stages
+from lierb.methods.calibration import calibration_of
+from lierb.methods.checks import (
+    MOST_ERROR_ROWS,
+    explicit,
+    require_both,
+    require_length,
+    require_order,
+    rows_of,
+)
+
+Rows = Sequence[Sequence[float]]
+
+
+class Method(ABC):
+    """One-step method with stages k_i, which ends a step at y + h Σ b_i k_i.
+
+    `lierb.methods.METHODS` has the methods of the catalogue by name.
+    """
+
+    A: Rows
+    b: Sequence[float]
+    name: str
+    order: int | None
+    source: str
+    error: Rows | None
+    error_order: int | None
+    dense: Rows | None
+    dense_A: Rows
+    dense_order: int | None
+    updates: tuple[str, ...] = UPDATES  # values of `update=` with which the method works
+    is_explicit = True
+
+    @property
+    def stages(self) -> int:
+        return len(self.b)
+
+    @property
+    def evaluations(self) -> int:
+        """Number of stages of a step without error estimate."""
+        return 1 + max(i for i, weight in enumerate(self.b) if weight)
+
+    @cached_property
+    def calibration(self) -> float:
+        """Ratio of the tolerance to the largest estimated error of a step.
+
+        With this ratio, the error of a uniform rotation equals the tolerance after thirty turns.
+        The ratio is at least 10; without `error` it is 1.
+        """
+        if self.error is None or self.error_order is None:
+            return 1.0
+        return calibration_of(self.linear_stages, self.b, self.error, self.error_order)
+
+    @abstractmethod
+    def linear_stages(self, z: Any) -> list[Any]:
+        """h k_i of a step of length h on ẏ = λy from y = 1.   z : hλ, complex."""
+
+    def scheme(self, is_adaptive: bool, interpolates: bool) -> Scheme:
+        """Coefficients for the kernels, the same object for the same arguments.
+
+        is_adaptive : whether steps have an error estimate.
+        interpolates : whether states between steps are needed.
+        """
+        wanted = is_adaptive, interpolates
+        if wanted not in self._schemes:
+            self._schemes[wanted] = self.scheme_of(*self._estimates(*wanted))
+        return self._schemes[wanted]
+
+    @cached_property
+    def _schemes(self) -> dict[tuple[bool, bool], Scheme]:
+        return {}
+
+    @abstractmethod
+    def scheme_of(self, embedded: Embedded | None, extension: Extension | None) -> Scheme:
+        """Coefficients for the kernels, with an error estimate and a continuous extension."""
+
+    def _estimates(
+        self, is_adaptive: bool, interpolates: bool
+    ) -> tuple[Embedded | None, Extension | None]:
+        embedded = extension = None
+        if is_adaptive:
+            assert self.error is not None
+            assert self.error_order is not None
+            embedded = Embedded(floats(self.error), self.error_order)
+        if interpolates and self.dense is not None:
+            extension = Extension(floats(self.dense_A), floats(self.dense))
+        return embedded, extension
+
+    # ---- checks of a new method ----
+
+    def _set(self, name: str, value: Any) -> None:
+        object.__setattr__(self, name, value)
+
+    def _checked_error(self) -> Stages:
+        """Return the rows of the error estimate, one for each row given."""
+        require_order("error_order", self.error_order, self.stages)
+        require_both("error_order", self.error_order, "error", self.error)
+        if self.error is None:
+            return ()
+        if self.error_order is None:
+            raise ArgumentError(
+                "error is given without error_order; give the order of the embedded method, by "
+                "which steps are chosen"
+            )
+        rows = rows_of("error", self.error)
+        if not 1 <= len(rows) <= MOST_ERROR_ROWS:
+            raise ArgumentError(
+                f"error has {len(rows)} rows; expected one, b − b̂, or the two of DOP853"
+            )
+        for i, row in enumerate(rows):
+            require_length(row, self.stages, f"row {i} of error")
+            if not any(row):
+                raise ArgumentError(f"row {i} of error has zeros alone; it is b − b̂")
+        return rows
+
+    def _checked_dense(self, stages: int) -> Stages:
+        """Return the rows of the continuous extension, filled up with zeros to one length."""
+        assert self.dense is not None
+        rows = rows_of("dense", self.dense)
+        if len(rows) != stages:
+            further = " and dense_A" if stages > self.stages else ""
+            raise ArgumentError(
+                f"dense has {len(rows)} rows; expected {stages}, one for each row of A{further}"
+            )
+        degree = max(1, *map(len, rows))
+        return tuple((*row, *[0.0] * (degree - len(row))) for row in rows)
+
+
+def lower_triangle(argument: str, given: Any) -> Stages:
+    """Return the strictly lower triangle of a square matrix, or of its triangle, row by row."""
+    rows = rows_of(argument, given)
+    return tuple(explicit(row, i, f"row {i} of {argument}") for i, row in enumerate(rows))
+
+
+def floats(rows: Rows) -> Stages:
+    return tuple(tuple(row) for row in rows)
