@@ -104,17 +104,30 @@ def integrate_with_derivatives(
     plan, inputs = ready.plan, _with_poses(ready)
     moving = fields_of(parameters, (field.name for field, _ in inputs.columns))
     differentiated = plan_with_derivatives(plan, moving)
-    directions = all_directions(parameters, _start_of(ready, inputs))
-    outputs: list[Output] = []
-    for first in range(0, len(directions), DIRECTIONS):
+    with np.errstate(all="ignore"):  # of starts that violate their joints, which are refused later
+        directions = all_directions(parameters, _start_of(ready, inputs))
+    starts = range(0, len(directions), DIRECTIONS)
+    whole: Output | None = None
+    rows, ends = [], []
+    for number, first in enumerate(starts):
         seeds = _seeds(inputs.columns, moving, directions[first : first + DIRECTIONS])
-        run = replace(inputs, seeds=seeds)
         output = engine.integrate(
-            differentiated, run, ready.times, with_state, threads, progress, check
-        )
-        check, outputs = None, [*outputs, output]
-    first_output = replace(outputs[0], plan=plan)
-    return first_output, _together(ready, differentiated, parameters, outputs)
+            differentiated, replace(inputs, seeds=seeds), ready.times, with_state, threads,
+            _part_of(progress, number, len(starts)), check,
+        )  # fmt: skip
+        check, whole = None, whole or output
+        rows.append(output.derivatives)
+        ends.append(output.end_derivatives)
+    assert whole is not None
+    whole = replace(whole, plan=plan)
+    return whole, _together(ready, differentiated, parameters, whole, rows, ends)
+
+
+def _part_of(progress: Progress, number: int, runs: int) -> Progress:
+    """Return the progress of one of several equal runs: a function is called with that of all."""
+    if not callable(progress):
+        return progress
+    return lambda done, total: progress(number * total + done, runs * total)
 
 
 def _with_poses(ready: Ready) -> Inputs:
@@ -156,8 +169,14 @@ def _seeds(
 
 
 def _together(
-    ready: Ready, plan: AnyPlan, parameters: tuple[Parameter, ...], outputs: list[Output]
+    ready: Ready,
+    plan: AnyPlan,
+    parameters: tuple[Parameter, ...],
+    output: Output,
+    of_rows: list[Array],
+    of_ends: list[Array],
 ) -> Derivatives:
+    """Join the derivatives of all runs.   output : of the first of them."""
     columns, count = derivatives_of(plan), sum(p.size for p in parameters)
     n, rows = ready.inputs.count, ready.times.saved_rows
     whole = columns.count * DIRECTIONS
@@ -166,13 +185,11 @@ def _together(
         parts = [each[:whole].reshape(columns.count, DIRECTIONS, *shape) for each in arrays]
         return np.concatenate(parts, axis=1)[:, :count]
 
-    ends = joined([output.end_derivatives for output in outputs], n)
+    ends = joined(of_ends, n)
     times = np.zeros((count, n))
     if events_of(plan):
-        in_time = outputs[0].end_derivatives[whole:]
-        _end_at_events(ready, outputs[0], columns, ends, times, in_time)
-    history = joined([output.derivatives for output in outputs], rows, n)
-    return Derivatives(parameters, columns, history, ends, times)
+        _end_at_events(ready, output, columns, ends, times, of_ends[0][whole:])
+    return Derivatives(parameters, columns, joined(of_rows, rows, n), ends, times)
 
 
 def _end_at_events(

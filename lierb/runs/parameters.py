@@ -185,8 +185,10 @@ def _start_seeds(model: Model, link: int, name: str, start: Start) -> Seeds:
         joint = model.joints[link].joint
         assert joint is not None
         units = omega_units(joint.body_frame)
-    moved = start.directions(link, "pose" if name == "pose0" else "twist", units)
-    return _seeds_of(start, moved, with_poses=name == "pose0")
+    if name == "pose0":
+        return _seeds_of(start, start.directions(link, "pose", units))
+    # the motions that joints admit depend on the poses alone
+    return _seeds_of(start, start.at_rest.directions(link, "twist", units), with_poses=False)
 
 
 def _seeds_of(start: Start, moved: Moved, with_poses: bool = True) -> Seeds:

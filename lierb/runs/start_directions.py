@@ -57,6 +57,13 @@ class Start:
         self.poses, self.twists = ([*given.values()] for given in (poses, twists))
 
     @cached_property
+    def at_rest(self) -> Start:
+        """The same poses at rest, of which there may be fewer."""
+        zeros = {link: np.zeros(6) for link in self.model.link_names}
+        poses = dict(zip(self.model.link_names, self.poses, strict=True))
+        return Start(self.model, poses, zeros, float(self.t0))
+
+    @cached_property
     def mechanism(self) -> Mechanism:
         """The model as a mechanism, without elements that have no rows."""
         model = self.model

@@ -199,8 +199,9 @@ def by_chain_rule(formula: Callable[[Any], Any]) -> Callable[[Any], Any]:
         if type(x) is not Dual or not x.parts:
             return formula(x)
         results = formula(Dual(x.value, (1.0,)))
-        pairs = ((y, parts_of(y)) for y in results)
-        return alike(results, (x.along(*part, value_of(y)) if part else y for y, part in pairs))
+        slopes = (parts_of(y) for y in results)
+        pairs = zip(results, slopes, strict=True)
+        return alike(results, (x.along(s[0], value_of(y)) if s else y for y, s in pairs))
 
     return evaluated
 

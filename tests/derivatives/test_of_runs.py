@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import lierb
-from derivatives.test_one_body import NUMBERS, STARTS, TOLERANCE, along, compare, problem_of
+from derivatives.test_of_joints import NUMBERS, STARTS, TOLERANCE, along, compare, problem_of
 
 ALL = (*STARTS, *NUMBERS, "joint.body_point")
 ADAPTIVE = {"rtol": 1e-12, "t_end": 0.25, "save_at": (0.0, 0.1, 0.25), "record": "state"}
@@ -44,6 +44,7 @@ def all_derivatives(result, names) -> dict[str, np.ndarray]:
 # ---- values and bits ---------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_adaptive_steps_have_the_derivatives_of_complex_steps():
     problem, start, result = adaptive()
     compare(problem, "spherical", start["pose0"], start["twist0"], result)
@@ -55,7 +56,11 @@ def test_adaptive_steps_have_the_derivatives_of_complex_steps():
     assert np.abs(middle[1] - alone).max() < 1e-9 * np.abs(alone).max()
 
 
-@pytest.mark.parametrize("options", [ADAPTIVE, STEPS], ids=["adaptive", "fixed"])
+@pytest.mark.parametrize(
+    "options",
+    [pytest.param(ADAPTIVE, marks=pytest.mark.slow), STEPS],
+    ids=["adaptive", "fixed"],
+)
 def test_values_of_a_run_with_derivatives_keep_their_bits(options):
     plain = fixed((), options=options)
     result = fixed(ALL, options=options)
@@ -64,8 +69,13 @@ def test_values_of_a_run_with_derivatives_keep_their_bits(options):
         assert np.array_equal(before.view(np.int64), after.view(np.int64))
         assert getattr(plain, name).schema.equals(getattr(result, name).schema)
     assert plain.sensitivities is None
+    problem, _, _ = problem_of("spherical")
+    more = {"dt": 5e-3, "t_end": 0.5} if options is STEPS else {"rtol": 1e-12, "t_end": 0.5}
+    ends = [lierb.integrate(problem, **run.end, **more).summary for run in (plain, result)]
+    assert np.array_equal(*(numbers_of(summary) for summary in ends))
 
 
+@pytest.mark.slow
 def test_a_direction_does_not_depend_on_the_others():
     whole = all_derivatives(fixed(ALL), ALL)
     for names in (("twist0",), ("body.com", "body.mass"), ALL[::-1]):
@@ -73,6 +83,7 @@ def test_a_direction_does_not_depend_on_the_others():
             assert np.array_equal(values, whole[key]), key  # −0 equals 0
 
 
+@pytest.mark.slow
 def test_a_trajectory_in_a_batch_has_the_derivatives_that_it_has_alone():
     problem, pose, twist = problem_of("spherical")
     twists = twist + problem.project(np.random.default_rng(2).standard_normal((11, 6)), pose)
@@ -113,15 +124,18 @@ SOME = tuple(name for name in ALL if name != "body.com")  # which SO(3)×R³ has
 
 FINE = {"dt": 1e-4, "t_end": 0.1, "save_every": 1000, "record": "state"}
 FORMULATIONS = [
-    ("spherical", {"solver": "saddle"}),
-    pytest.param("spherical", {"cspace": "SO3xR3"}, marks=pytest.mark.slow),
-    pytest.param("spherical", {"update": "global"}, marks=pytest.mark.slow),
-    ("spherical", {"update": "ambient"}),
-    pytest.param("spherical", {"method": "CF4"}, marks=pytest.mark.slow),
-    pytest.param("spherical", {"solver": "saddle", "update": "global"}, marks=pytest.mark.slow),
-    pytest.param("universal", {"cspace": "SO3xR3"}, marks=pytest.mark.slow),
-    pytest.param("cylindrical", {"solver": "saddle"}, marks=pytest.mark.slow),
-    pytest.param("planar", {"update": "ambient"}, marks=pytest.mark.slow),
+    pytest.param(name, options, marks=pytest.mark.slow if is_slow else pytest.mark.long)
+    for name, options, is_slow in (
+        ("spherical", {"solver": "saddle"}, True),
+        ("spherical", {"update": "ambient"}, True),
+        ("universal", {"cspace": "SO3xR3"}, True),
+        ("spherical", {"cspace": "SO3xR3"}, False),
+        ("spherical", {"update": "global"}, False),
+        ("spherical", {"solver": "saddle", "update": "global"}, False),
+        ("spherical", {"method": "CF4"}, False),
+        ("cylindrical", {"solver": "saddle"}, False),
+        ("planar", {"update": "ambient"}, False),
+    )
 ]
 
 
@@ -181,6 +195,7 @@ def test_energy_is_conserved_along_every_direction():
     assert np.abs(result.sensitivity("energy", "body.mass")).max() > 1.0
 
 
+@pytest.mark.slow
 def test_momentum_of_a_free_body_is_conserved_along_every_direction():
     body = lierb.Body(2.0, (0.3, 0.5, 0.6))
     flight = lierb.Problem(body, lierb.joints.free())

@@ -11,7 +11,7 @@ from cases import GRAVITY
 
 import lierb
 from derivatives import complex_steps as steps
-from derivatives.test_one_body import RUN, compare, problem_of
+from derivatives.test_of_joints import RUN, compare, problem_of
 
 G = 9.81
 
@@ -56,7 +56,13 @@ def forces_of(weights: dict):
     return force
 
 
-@pytest.mark.parametrize("name", ["spherical", pytest.param("universal", marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param("spherical", marks=pytest.mark.slow),
+        pytest.param("universal", marks=pytest.mark.long),
+    ],
+)
 def test_forces_and_users_functions_have_the_derivatives_of_complex_steps(name):
     spring = lierb.forces.spring_damper(
         body_point=(0.1, 0.0, 0.2), ground_point=(0.0, 0.0, 2.0), stiffness=40.0, damping=0.3,
@@ -77,6 +83,7 @@ def test_forces_and_users_functions_have_the_derivatives_of_complex_steps(name):
     compare(problem, name, pose, twist, result, force=force, scales={})
 
 
+@pytest.mark.slow
 def test_work_of_forces_balances_the_energy_along_a_direction():
     drag = lierb.forces.drag(linear=0.5, angular=0.05)
     problem, pose, twist = problem_of("spherical", forces=drag)
@@ -96,6 +103,7 @@ def in_a_plane(R, r, params):
     return r[2] + 0.1 * r[0] * r[0] - params.height
 
 
+@pytest.mark.slow
 def test_a_users_constraint_moves_the_start_with_its_parameter():
     body = lierb.Body(1.0, (0.02, 0.03, 0.04))
     problem = lierb.Problem(body, lierb.joints.free(), GRAVITY, constraints=in_a_plane())
@@ -114,6 +122,7 @@ def test_a_users_constraint_moves_the_start_with_its_parameter():
             assert np.abs(change - slope).max() < 1e-9
 
 
+@pytest.mark.slow
 def test_a_motors_speed_moves_the_start():
     hinge = lierb.joints.revolute(axis=(0.0, 1.0, 0.0))
     problem = lierb.Problem(
@@ -160,6 +169,7 @@ def test_extra_states_have_the_published_derivatives_of_heyoka():
     assert (metadata[b"unit"], metadata[b"per"]) == (b"rad", b"rad/s")
 
 
+@pytest.mark.slow
 def test_states_and_observables_follow_the_motion_and_their_parameters():
     @lierb.states(path=0.0, params={"gain": 2.0})
     def path_length(v, states, params):

@@ -83,9 +83,9 @@ def bar_of(name, numbers, first, second, weights) -> planar.Bar:
 @pytest.mark.parametrize(
     "options",
     [
-        {"dt": 1e-4},
+        pytest.param({"dt": 1e-4}, marks=pytest.mark.slow),
         pytest.param({"rtol": 1e-12}, marks=pytest.mark.slow),
-        pytest.param({"dt": 1e-4, "cspace": "SE3", "stabilise": "project"}, marks=pytest.mark.slow),
+        pytest.param({"dt": 1e-4, "cspace": "SE3", "stabilise": "project"}, marks=pytest.mark.long),
     ],
     ids=["reduced", "adaptive", "projected"],
 )
@@ -157,8 +157,10 @@ def four_bar() -> tuple[lierb.Mechanism, dict, dict]:
     return mechanism, pose0, twist0
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("stabilise", [None, "project"])
+@pytest.mark.parametrize(
+    "stabilise",
+    [pytest.param(None, marks=pytest.mark.long), pytest.param("project", marks=pytest.mark.slow)],
+)
 def test_derivatives_of_a_closed_loop_are_those_of_complex_steps(stabilise):
     mechanism, pose0, twist0 = four_bar()
     result = lierb.integrate(
@@ -215,7 +217,7 @@ def twist_rates(system: oracle.System, state: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize(
     "shape",
-    [pytest.param(s, marks=pytest.mark.slow if s in ("star", "four_bar") else pytest.mark.long)
+    [pytest.param(s, marks=pytest.mark.slow if s == "four_bar" else pytest.mark.long)
      for s in ("star", "branched", "four_bar", "slider_crank", "rssr")],
 )  # fmt: skip
 def test_the_derivative_along_the_flow_is_the_twist_of_every_link(shape):
@@ -245,6 +247,7 @@ def test_the_derivative_along_the_flow_is_the_twist_of_every_link(shape):
             assert np.abs(found - wanted).max() < 1e-9 * (1.0 + np.abs(at_end).max()), (name, of)
 
 
+@pytest.mark.slow
 def test_directions_of_a_start_stay_on_joints_and_loops():
     mechanism, pose0, twist0 = four_bar()
     names = ("crank.pose0", "coupler.twist0", "pin.joint.body_point", "rocker.joint.ground_point")

@@ -49,7 +49,11 @@ def flight(speed, g=G, height=0.2, start=1.0):
     return (speed + root) / g, -root
 
 
-@pytest.mark.parametrize("options", [{}, {"rtol": None, "dt": 1e-3, "method": "RK4"}])
+@pytest.mark.parametrize(
+    "options",
+    [{}, pytest.param({"rtol": None, "dt": 1e-3, "method": "RK4"}, marks=pytest.mark.slow)],
+    ids=["adaptive", "fixed"],
+)
 def test_times_of_terminal_events_have_exact_derivatives(options):
     speeds = np.array((2.0, 3.0, 0.5, 1.0, 4.0))
     result = thrown(speeds, **options)
@@ -93,6 +97,7 @@ def test_states_at_terminal_events_change_with_the_end_time():
         assert np.abs(rates[:3]).max() < 1e-10
 
 
+@pytest.mark.slow
 def test_a_time_at_which_a_run_ends_is_its_own_derivative():
     result = thrown(events=bell(), with_respect_to=("bell.at", "twist0"))
     assert abs(result.sensitivity("t", "bell.at")[0, 0] - 1.0) < 1e-14
@@ -110,6 +115,7 @@ def test_trajectories_that_reach_the_end_of_the_run_have_no_change_of_time():
     assert np.abs(place - 2.0 * np.eye(3)).max() < 1e-10
 
 
+@pytest.mark.slow
 def test_rows_before_the_event_are_at_fixed_times_and_later_ones_nan():
     result = thrown(save_at=(0.0, 0.3, 1.5), record="state")
     rows = result.sensitivity("pose", "gravity")[:, 0]
@@ -118,6 +124,7 @@ def test_rows_before_the_event_are_at_fixed_times_and_later_ones_nan():
     assert np.isnan(rows[2]).all()
 
 
+@pytest.mark.slow
 def test_an_event_that_does_not_end_the_run_changes_nothing():
     result = thrown(events=passes(), t_end=0.9, with_respect_to="twist0")
     assert result.events.num_rows == 1
@@ -126,6 +133,7 @@ def test_an_event_that_does_not_end_the_run_changes_nothing():
     assert np.abs(place - 0.9 * np.eye(3)).max() < 1e-11
 
 
+@pytest.mark.slow
 def test_events_of_a_mechanism_end_it_on_a_joint():
     hinge = lierb.joints.revolute(axis=(0.0, 1.0, 0.0), body_point=(0.0, 0.0, 0.5))
     rod = lierb.Body(1.0, (0.1, 0.1, 0.01))

@@ -258,10 +258,11 @@ def test_results_with_derivatives_are_pickled_and_described():
     assert "derivatives  by omega0, gravity" in repr(result)
 
 
-def test_progress_is_reported_by_every_run():
+def test_progress_is_that_of_all_runs_together():
     seen = []
-    spun(with_respect_to=["omega0", "gravity"], progress=lambda done, total: seen.append(done))
-    assert seen
+    spun(with_respect_to=["omega0", "gravity"], progress=lambda *of: seen.append(of))
+    assert [done for done, _ in seen] == sorted(done for done, _ in seen)
+    assert seen[-1] == (20, 20)  # ten steps for the three directions of each
 
 
 def test_warnings_of_a_start_point_to_the_callers_line():

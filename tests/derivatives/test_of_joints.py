@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from cases import GRAVITY, box, slow_but
+from cases import GRAVITY, box, tiered
 from cases import joint as made_joint
 
 import lierb
@@ -18,6 +18,8 @@ FRAMES = ("joint.body_point", "joint.ground_point")
 NUMBERS = ("body.mass", "body.com", "body.inertia", "gravity")
 STARTS = ("twist0", "pose0")
 ENTRIES = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
+# One of each kind of rows: the others run with -m long.
+QUICK, SLOW = ("revolute",), ("spherical", "screw", "universal", "point_on_sphere")
 # Relative to the largest derivative of the quantity: truncation of RK4, and of DOP853 at 1e-13.
 TOLERANCE = 1e-10
 
@@ -107,9 +109,7 @@ def compare(problem, name, pose, twist, result, seed=0, force=None, scales=SCALE
     return weights, expected[2]
 
 
-@pytest.mark.parametrize(
-    "name", slow_but(lierb.joints.JOINTS, "revolute", "spherical", "universal")
-)
+@pytest.mark.parametrize("name", tiered(lierb.joints.JOINTS, QUICK, SLOW))
 def test_derivatives_on_every_joint_are_those_of_complex_steps(name):
     problem, pose, twist = problem_of(name)
     options = lierb.joints.JOINTS[name].options
