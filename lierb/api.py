@@ -49,7 +49,7 @@ def integrate(
     problem: Problem | Mechanism,
     *,
     # the start
-    twist0: ArrayLike | Mapping[str, ArrayLike],
+    twist0: ArrayLike | Mapping[str, ArrayLike] | None = None,
     pose0: Any = None,
     # time and steps
     dt: float | None = None,
@@ -89,8 +89,9 @@ def integrate(
     ----------
     problem : Problem or Mechanism
         The body with its joint and forces, or the mechanism; batched or shared.
-    twist0 : array_like, shape (6,) or (n, 6), or dict of them
+    twist0 : array_like, shape (6,) or (n, 6), or dict of them, optional
         Body-fixed twist (ω, v) at t0, rad/s and m/s; see `Joint.twist` and `Mechanism.twist`.
+        Default: at rest.
     pose0 : array_like or RigidTransform, shape (4, 4) or (n, 4, 4), or dict of them, optional
         Pose at t0. Default: the closed joint; for a mechanism `Mechanism.pose()`, all coordinates
         0.

@@ -410,3 +410,14 @@ def test_hopeless_member_of_a_batch_is_named():
 def test_what_is_no_pose_is_refused(given):
     with pytest.raises(LierbError):
         lierb.Problem(BODY, joint("revolute")).close(given)
+
+
+def test_twist_may_be_left_out_for_a_start_from_rest():
+    """A body falls from rest: r = g t²/2, exactly by RK4."""
+    flight = lierb.Problem(
+        lierb.bodies.sphere(0.1, mass=1.0), lierb.joints.free(), (0.0, 0.0, -9.81)
+    )
+    result = lierb.integrate(flight, dt=0.1, t_end=1.0)
+    assert result.position[0, 2] == pytest.approx(-0.5 * 9.81, abs=1e-14)
+    with pytest.raises(ArgumentError, match="give its twist0 too"):
+        lierb.integrate(flight, pose0=result.end["pose0"], t0=1.0, dt=0.1, t_end=2.0)

@@ -61,14 +61,25 @@ def test_state_of_a_mechanism_names_its_links(result, name):
 def test_unknown_links_are_named(result):
     with pytest.raises(UnknownNameError, match="Did you mean 'lower'"):
         result["lowr"]
-    with pytest.raises(UnknownNameError, match="link=0 is unknown; choose from upper, lower"):
+    with pytest.raises(
+        UnknownNameError, match="link or column=0 is unknown; choose from upper, lower"
+    ):
         result[0]
     flight = lierb.Problem(lierb.bodies.sphere(0.1, mass=1.0), lierb.joints.free())
     alone = lierb.Result(
         lierb.integrate(flight, twist0=np.zeros(6), dt=1.0, t_end=1.0).summary, None
     )
-    with pytest.raises(ArgumentError, match="of one body, which has no links"):
+    with pytest.raises(UnknownNameError, match="column='body' is unknown; choose from trajectory"):
         alone["body"]
+
+
+def test_columns_are_arrays_of_the_history_or_the_summary(result):
+    angles = result["lower.omega"]
+    assert angles.shape == (*result["lower"].omega.shape,)
+    np.testing.assert_array_equal(angles, result["lower"].omega)
+    assert result["status"].tolist() == ["ok"] * result.summary.num_rows
+    expected = result.summary["energy_drift_max"].to_pylist()
+    np.testing.assert_array_equal(result["energy_drift_max"], expected)
 
 
 def test_data_frames_have_a_column_for_each_component(result):

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from lierb.errors import ArgumentError, brief, unknown_name
+from lierb.errors import ArgumentError, unknown_name
 from lierb.kernels.groups import so3
 from lierb.kernels.mechanics.rows import JOINT_ROWS
 from lierb.kernels.mechanics.spatial import Rigid, wrench_from
@@ -177,6 +177,12 @@ def _scalars(field: pa.Field, column: pa.ChunkedArray) -> dict[pa.Field, Any]:
     }
 
 
+def _column(column: pa.ChunkedArray) -> Array:
+    """Return a column as an array; of objects for strings."""
+    is_text = pa.types.is_string(column.type) or pa.types.is_dictionary(column.type)
+    return np.array(column.to_pylist(), dtype=object) if is_text else as_array(column)
+
+
 @dataclass(frozen=True, repr=False)
 class RunStates(States):
     """Tables of a whole run, the states of its body or links, and the run's end.
@@ -193,10 +199,13 @@ class RunStates(States):
         ends = (n.rpartition(".") for n in self.summary.column_names)
         return tuple(link for link, _, what in ends if link and what == "rotation")
 
-    def __getitem__(self, link: str) -> LinkResult:
-        """Return the state of one link of a mechanism.
+    def __getitem__(self, name: str) -> Any:
+        """Return the state of one link of a mechanism, or a column as an array.
 
-        Raises UnknownNameError for another name, ArgumentError for the result of one body.
+        A column of numbers or strings is (times, n) or (times, n, width) from the history if it has
+        the column, otherwise (n,) or (n, width) from the summary.
+
+        Raises UnknownNameError for another name.
 
         >>> import lierb
         >>> hinge = lierb.joints.revolute(body_point=(0.5, 0.0, 0.0))
@@ -206,14 +215,20 @@ class RunStates(States):
         >>> result["wheel"].omega.round(9).tolist()
         [[0.0, 0.0, 2.0]]
         """
-        if not self.links:
-            raise ArgumentError(
-                f"result[{brief(link)}]: it is of one body, which has no links; take "
-                f"{', '.join(f'result.{name}' for name in STATE[1:])}"
-            )
-        if not (isinstance(link, str) and link in self.links):
-            raise unknown_name("result: link", link, self.links)
-        return LinkResult(self.summary, self.history, link)
+        if isinstance(name, str) and name in self.links:
+            return LinkResult(self.summary, self.history, name)
+        for table in (self.history, self.summary):
+            if table is not None and isinstance(name, str) and name in table.column_names:
+                values = _column(table[name])
+                shape = () if table is self.summary else (-1,)
+                return values.reshape(*shape, self.summary.num_rows, *values.shape[1:])
+        saved = [] if self.history is None else self.history.column_names
+        columns = dict.fromkeys((*saved, *self.summary.column_names))
+        raise unknown_name(
+            "result: column" if not self.links else "result: link or column",
+            name,
+            (*self.links, *columns),
+        )
 
     @property
     def momentum(self) -> Array:

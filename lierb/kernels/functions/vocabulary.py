@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 from numba import types
 from numba.extending import overload
-from numpy.typing import ArrayLike
 
 from lierb.kernels.functions.elementary import arctan2, sqrt
 from lierb.kernels.functions.numpy_library import Spoken
@@ -59,7 +58,7 @@ def clip(x: Any, lower: Any, upper: Any) -> Any:
     return _clip(x, lower, upper)
 
 
-def table(x: Any, xs: ArrayLike, ys: ArrayLike) -> Any:
+def table(x: Any, xs: Any, ys: Any) -> Any:
     """Interpolate linearly between the points (xs, ys); constant beyond the first and the last.
 
     In a kernel each point costs a comparison and three choices. The interval among more than 32
@@ -71,13 +70,13 @@ def table(x: Any, xs: ArrayLike, ys: ArrayLike) -> Any:
         Abscissas of the values, of any shape.
     xs : array_like, shape (n,)
         Increasing abscissas of the points.
-    ys : array_like, shape (n,)
-        Ordinates of the points.
+    ys : array_like, shape (n,) or (n, k)
+        Ordinates of the points: numbers, or vectors.
 
     Returns
     -------
     float or ndarray
-        Interpolated values, of the shape of x.
+        Interpolated values, of the shape of x; vectors are along a last axis.
 
     Raises
     ------
@@ -93,13 +92,17 @@ def table(x: Any, xs: ArrayLike, ys: ArrayLike) -> Any:
     if not any(map(has_traced, (x, xs, ys))):
         x, xs, ys = _real("x", x), _real("xs", xs), _real("ys", ys)
     shapes = np.shape(xs), np.shape(ys)
-    if len(shapes[0]) != 1 or shapes[0] != shapes[1] or shapes[0] == (0,):
+    if len(shapes[0]) != 1 or shapes[0] != shapes[1][:1] or 0 in shapes[1] or len(shapes[1]) > 2:
         raise UnfitArgumentError(
-            f"a table's xs and ys have shapes {shapes[0]} and {shapes[1]}; expected (n,) both"
+            f"a table's xs and ys have shapes {shapes[0]} and {shapes[1]}; expected (n,) both, or "
+            "(n,) and (n, k) for vectors"
         )
     if not has_traced(xs) and not np.all(np.diff(np.asarray(xs, dtype=np.float64)) > 0.0):
         raise UnfitArgumentError("a table's xs must increase; sort the points by x")
-    return _interp(x, xs, ys)
+    if len(shapes[1]) == 1:
+        return _interp(x, xs, ys)
+    columns = [_interp(x, xs, [row[i] for row in ys]) for i in range(shapes[1][1])]
+    return np.moveaxis(np.array(columns), 0, -1)
 
 
 _clip, _interp = Spoken(np.clip), Spoken(np.interp)
