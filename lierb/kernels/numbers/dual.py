@@ -106,8 +106,14 @@ class Dual:
         return type(self)(value, tuple(slope * part for part in self.parts))
 
     @staticmethod
-    def call(formula: Callable[..., Any], count: int, x: Dual) -> tuple[Any, ...]:
-        """Call a formula of one number apart, for values and slopes; see `arithmetic.apart`."""
+    def call(formula: Callable[..., Any], count: int, *numbers: Number) -> Any:
+        """Call a formula of one number apart, for values and slopes; see `arithmetic.apart`.
+
+        A formula of several numbers is inlined.
+        """
+        if len(numbers) > 1:
+            return formula(*numbers)
+        (x,) = numbers
 
         def with_slopes(z: Number) -> tuple[Any, ...]:
             results = formula(Dual(z, (1.0,)))
