@@ -45,48 +45,55 @@ class Derivatives(NamedTuple):
 
 def require_differentiable(ready: Ready, parameters: tuple[Parameter, ...]) -> None:
     """Raise ArgumentError for a run that has no derivatives, MemoryLimitError for one too large."""
-    model, plan = ready.model, ready.plan
-    own = "with_respect_to: "
-    if ready.inputs.state is not None:
-        raise ArgumentError(
-            f"{own}a run that continues from result.end keeps the state of the kernels, which has "
-            "no derivatives by a start; begin with a copy of its poses, pose0=pose0.copy()"
-        )
-    for controller in model.controllers:
-        raise ArgumentError(
-            f"{own}the outputs of {controller.name} are not differentiated; leave controllers out"
-        )
-    if isinstance(plan, MechanismPlan) and plan.is_in_memory:
-        raise ArgumentError(
-            f'{own}solver="looped" has no derivatives; take solver="unrolled", which is compiled '
-            "for this tree"
-        )
-    if not plan.is_explicit:
-        raise ArgumentError(
-            f"{own}{ready.options.timing.method.name} has no derivatives; take an explicit method, "
-            "such as RK4 or DOP853"
-        )
-    names = {f.name for e in plan.elements for f in e.functions if not f.is_traced}
-    if names:
-        raise ArgumentError(
-            f"{own}{', '.join(sorted(names))} runs body by body, without derivatives; write it so "
-            "that it runs for many bodies at once, with lierb.where(condition, a, b) in place of if"
-        )
-    for name in (*(column.name for column in model.signals), *(o.name for o in model.observables)):
-        if name in ("pose", "twist"):
-            raise ArgumentError(f"{own}{name} is a quantity of the run; name your column otherwise")
-    chosen, spaces = {p.name for p in parameters}, ready.options.formulation.cspaces
-    for link, space in zip(model.link_names, spaces, strict=True):
-        name = f"{link}.body.com" if link else "body.com"
-        if space == "SO3xR3" and name in chosen:
-            raise ArgumentError(
-                f'{own}{name} cannot change on cspace="SO3xR3", where the body frame is at the '
-                'centre of mass; take cspace="SE3"'
-            )
-    numbers = derivatives_of(plan).count * sum(p.size for p in parameters)
+    for obstacle in (*_obstacles(ready), *_unfit_names(ready, parameters)):
+        raise ArgumentError(f"with_respect_to: {obstacle}")
+    numbers = derivatives_of(ready.plan).count * sum(p.size for p in parameters)
     rows = (ready.times.saved_rows + 1) * ready.inputs.count
     remedy = "take fewer parameters or trajectories at a time, or save less often"
     require_memory(COPIES * 8 * numbers * rows, "the derivatives", remedy)
+
+
+def _obstacles(ready: Ready) -> Iterator[str]:
+    """Yield the reasons why a run has no derivatives, with what is to be done."""
+    plan = ready.plan
+    if ready.inputs.state is not None:
+        yield (
+            "a run that continues from result.end keeps the state of the kernels, which has no "
+            "derivatives by a start; begin with a copy of its poses, pose0=pose0.copy()"
+        )
+    for controller in ready.model.controllers:
+        yield f"the outputs of {controller.name} are not differentiated; leave controllers out"
+    if isinstance(plan, MechanismPlan) and plan.is_in_memory:
+        yield (
+            'solver="looped" has no derivatives; take solver="unrolled", which is compiled for '
+            "this tree"
+        )
+    if not plan.is_explicit:
+        name = ready.options.timing.method.name
+        yield f"{name} has no derivatives; take an explicit method, such as RK4 or DOP853"
+    names = {f.name for e in plan.elements for f in e.functions if not f.is_traced}
+    if names:
+        yield (
+            f"{', '.join(sorted(names))} runs body by body, without derivatives; write it so that "
+            "it runs for many bodies at once, with lierb.where(condition, a, b) in place of if"
+        )
+
+
+def _unfit_names(ready: Ready, parameters: tuple[Parameter, ...]) -> Iterator[str]:
+    """Yield what is wrong with names of parameters, or of columns beside them."""
+    model = ready.model
+    columns = (*(each.name for each in model.signals), *(each.name for each in model.observables))
+    for name in columns:
+        if name in ("pose", "twist"):
+            yield f"{name} is a quantity of the run; name your column otherwise"
+    chosen = {p.name for p in parameters}
+    for link, space in zip(model.link_names, ready.options.formulation.cspaces, strict=True):
+        name = f"{link}.body.com" if link else "body.com"
+        if space == "SO3xR3" and name in chosen:
+            yield (
+                f'{name} cannot change on cspace="SO3xR3", where the body frame is at the centre '
+                'of mass; take cspace="SE3"'
+            )
 
 
 def integrate_with_derivatives(

@@ -271,3 +271,34 @@ def test_directions_of_a_start_stay_on_joints_and_loops():
         moved = np.eye(3) if name == "rocker.joint.ground_point" else np.zeros((1, 1))
         assert np.abs((on_ground - moved)[:, ::2]).max() < 1e-12
     assert np.abs(result.sensitivity("crank.pose", "pin.joint.body_point")).max() > 0.1
+
+
+@pytest.mark.slow
+def test_a_mechanism_of_a_batch_has_the_derivatives_that_it_has_alone():
+    names = ("lower.twist0", "upper.pose0", "lower.joint.body_point", "lower.body.mass")
+    hinges = {
+        "upper": lierb.joints.revolute(body_point=POINTS["upper"], **AXIS),
+        "lower": lierb.joints.revolute(
+            body_point=[POINTS["lower"], (0.0, 0.0, 0.2)], parent_point=POINTS["elbow"], **AXIS
+        ),
+    }
+    several = lierb.Mechanism(
+        [
+            lierb.Link("upper", body_of(**UPPER), hinges["upper"]),
+            lierb.Link("lower", body_of(**LOWER), hinges["lower"], "upper"),
+        ],
+        gravity=GRAVITY,
+    )
+    poses = several.pose({"upper": [[0.9], [0.4]], "lower": [[0.6], [0.2]]})
+    twists = several.twist({"upper": 2.0, "lower": -5.0}, poses)
+    run = {"dt": 1e-3, "t_end": 0.1, "with_respect_to": names}
+    together = lierb.integrate(several, pose0=poses, twist0=twists, **run)
+    for i in range(2):
+        alone = lierb.integrate(
+            several.of_body(i), pose0={n: pose[i] for n, pose in poses.items()},
+            twist0={n: twist[i] for n, twist in twists.items()}, **run,
+        )  # fmt: skip
+        for name in names:
+            for of in ("upper.pose", "lower.twist", "energy"):
+                found = together.sensitivity(of, name)[i]
+                assert np.array_equal(found, alone.sensitivity(of, name)[0]), (of, name)

@@ -113,7 +113,7 @@ class Dual:
         """
         if len(numbers) > 1:
             return formula(*numbers)
-        (x,) = numbers
+        x: Any = numbers[0]
 
         def with_slopes(z: Number) -> tuple[Any, ...]:
             results = formula(Dual(z, (1.0,)))
