@@ -1,4 +1,4 @@
-"""Runs of a comparison: methods on c-spaces at steps or tolerances, and their rows of the table."""
+"""Run a comparison: methods on c-spaces at steps or tolerances, and their rows of the table."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ DRIFTS = {"position": "position_error", "rotation": "rotation_error", "energy": 
 
 @dataclass(frozen=True)
 class Run:
-    """A method on a c-space, at a step, s, or a tolerance."""
+    """A run is a method on a c-space, at a step, s, or a tolerance."""
 
     method: Method
     cspace: CSpace

@@ -1,4 +1,4 @@
-"""Catalogue of methods, each one entry of a module as data."""
+"""Each method of the catalogue is one entry of a module as data."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The common face of all methods: what a run reads of a method, whatever its family."""
+"""All methods, of any family, have the interface that a run reads."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ Rows = Sequence[Sequence[float]]
 
 
 class Method(ABC):
-    """One-step method with stages k_i, which ends a step at y + h Σ b_i k_i.
+    """A one-step method has stages k_i and ends a step at y + h Σ b_i k_i.
 
     `lierb.methods.METHODS` has the methods of the catalogue by name.
     """
@@ -48,12 +48,12 @@ class Method(ABC):
 
     @property
     def evaluations(self) -> int:
-        """Number of stages of a step without error estimate."""
+        """Return the number of stages of a step without error estimate."""
         return 1 + max(i for i, weight in enumerate(self.b) if weight)
 
     @cached_property
     def calibration(self) -> float:
-        """Ratio of the tolerance to the largest estimated error of a step.
+        """Return the ratio of the tolerance to the largest estimated error of a step.
 
         With this ratio, the error of a uniform rotation equals the tolerance after thirty turns.
         The ratio is at least 10; without `error` it is 1.
@@ -64,10 +64,10 @@ class Method(ABC):
 
     @abstractmethod
     def linear_stages(self, z: Any) -> list[Any]:
-        """h k_i of a step of length h on ẏ = λy from y = 1.   z : hλ, complex."""
+        """Return h k_i of a step of length h on ẏ = λy from y = 1.   z : hλ, complex."""
 
     def scheme(self, is_adaptive: bool, interpolates: bool) -> Scheme:
-        """Coefficients for the kernels, the same object for the same arguments.
+        """Return the coefficients for the kernels, the same object for the same arguments.
 
         is_adaptive : whether steps have an error estimate.
         interpolates : whether states between steps are needed.
@@ -83,7 +83,7 @@ class Method(ABC):
 
     @abstractmethod
     def scheme_of(self, embedded: Embedded | None, extension: Extension | None) -> Scheme:
-        """Coefficients for the kernels, with an error estimate and a continuous extension."""
+        """Return coefficients for the kernels, with an error estimate and continuous extension."""
 
     def _estimates(
         self, is_adaptive: bool, interpolates: bool

@@ -1,4 +1,4 @@
-"""Tableaus of Rosenbrock methods, checked when a tableau is made."""
+"""Tableaus of Rosenbrock methods are checked when a tableau is made."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _TOLERANCE = 1e-12
 
 @dataclass(frozen=True)
 class RosenbrockTableau(Method):
-    """A Rosenbrock method, for stiff systems: linear equations in each step, no iteration.
+    """A Rosenbrock method is for stiff systems; a step solves linear equations, without iteration.
 
     With the Jacobian J of f at the start of a step, its stages are (1 − γhJ) k_i = γ (f(t + α_i h,
     y + h Σ_j A_ij k_j) + Σ_j C_ij k_j + γ_i h ∂f/∂t), and y ← y + h Σ b_i k_i. This is the form in
@@ -187,7 +187,7 @@ class RosenbrockTableau(Method):
 
     @cached_property
     def nodes(self) -> tuple[float, ...]:
-        """Node α_i of each stage."""
+        """Return the node α_i of each stage."""
         return tuple(
             _exact(sum(a * k for a, k in zip(row, self.constant_stages, strict=False)))
             for row in self.A

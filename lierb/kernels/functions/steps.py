@@ -1,4 +1,4 @@
-"""Piecewise functions of users' numbers: rounding, remainders, extremes, tables."""
+"""Rounding, remainders, extremes and tables are piecewise functions of users' numbers."""
 
 from __future__ import annotations
 
@@ -156,22 +156,22 @@ def logaddexp(a: Any, b: Any) -> Any:
 
 
 def maximum(a: Any, b: Any) -> Any:
-    """Larger of two numbers; NaN if either is."""
+    """Return the larger of two numbers; NaN if either is."""
     return choice((raw(a) >= raw(b)) | isnan(raw(a)), a, b)
 
 
 def minimum(a: Any, b: Any) -> Any:
-    """Smaller of two numbers; NaN if either is."""
+    """Return the smaller of two numbers; NaN if either is."""
     return choice((raw(a) <= raw(b)) | isnan(raw(a)), a, b)
 
 
 def fmax(a: Any, b: Any) -> Any:
-    """Larger of two numbers; the other if one is NaN."""
+    """Return the larger of two numbers; the other if one is NaN."""
     return choice((raw(a) >= raw(b)) | isnan(raw(b)), a, b)
 
 
 def fmin(a: Any, b: Any) -> Any:
-    """Smaller of two numbers; the other if one is NaN."""
+    """Return the smaller of two numbers; the other if one is NaN."""
     return choice((raw(a) <= raw(b)) | isnan(raw(b)), a, b)
 
 
@@ -189,7 +189,7 @@ sign = _steps("sign", _signum)
 
 
 def heaviside(x: Any, at_zero: Any) -> Any:
-    """Step function: 0 below zero, 1 above, `at_zero` at zero."""
+    """Return 0 below zero, 1 above, and `at_zero` at zero."""
     note_switch(x)
     step = _signum(raw(x))
     value = choice(step > 0.0, 1.0, choice(step < 0.0, 0.0, choice(step == 0.0, at_zero, step)))

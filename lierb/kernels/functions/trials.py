@@ -39,7 +39,7 @@ def trial(function: Function) -> int:
 
 @lru_cache(256)
 def outputs_of(function: Function) -> Shapes:
-    """Names and shapes of the function's first returned dictionary, determined by a trial."""
+    """Return the names and shapes of the function's first returned dictionary, by a trial."""
 
     def call(*inputs: Any) -> Any:
         first = function.dictionaries(function.returned(*inputs))[0]

@@ -1,4 +1,4 @@
-"""The rigid body in joint axes, and Newton–Euler's equations in both c-spaces.
+"""Newton–Euler's equations of a rigid body in joint axes are given for both c-spaces.
 
 Joint axes. Every problem is transformed to the joint's own frames before the first step and back
 after the last: Q = GᵣᵀRBᵣ turns the body's joint frame to the ground's. Rows of the constraint
@@ -56,7 +56,10 @@ Turn = Callable[[Vec], Vec]  # transforms a vector's components to other axes
 
 
 class Parameters(NamedTuple):
-    """A body and its joint in the user's frames; SI units, rotation matrices row by row."""
+    """The parameters of a body and its joint are in the user's frames.
+
+    Units are SI; rotation matrices are row by row.
+    """
 
     mass: Any
     inertia: Mat  # about the body frame's origin
@@ -69,17 +72,17 @@ class Parameters(NamedTuple):
 
 
 def frames_of(p: Parameters) -> Frames:
-    """Frames for the transformation of forces' points and directions to joint axes."""
+    """Return the frames for transforming forces' points and directions to joint axes."""
     return Frames(p.ground, *p.body)
 
 
 def closed_pose(ground: Pose, body: Pose, length: Any) -> Pose:
-    """Pose C = G (I, length·e₃) B⁻¹ of a joint whose frames coincide, or are a rod apart."""
+    """Return C = G (I, length·e₃) B⁻¹ of a joint whose frames coincide, or are a rod apart."""
     return se3.compose(se3.compose(ground, (IDENTITY, (ZERO, ZERO, length))), se3.inverse(body))
 
 
 class BodyConstants(NamedTuple):
-    """Constants of a body in joint axes, for the equations of motion."""
+    """Hold the constants of a body in joint axes, for the equations of motion."""
 
     mass: Number
     inertia: Mat  # Θ about the centre of mass
@@ -127,7 +130,7 @@ class BodyConstants(NamedTuple):
 
 
 def girth_of(*bodies: tuple[Any, Mat]) -> Number:
-    """Square of the radius of gyration of several bodies together, tr Θ / 2m, m².
+    """Return the square of the radius of gyration of several bodies together, tr Θ / 2m, m².
 
     bodies : mass and inertia about the centre of mass of each.
     """
@@ -139,7 +142,7 @@ def girth_of(*bodies: tuple[Any, Mat]) -> Number:
 
 
 class Kinematics(NamedTuple):
-    """Kinematic quantities that constraint rows depend on."""
+    """Constraint rows depend on these kinematic quantities."""
 
     q: Mat
     d: Vec  # the joint's point in the ground's joint frame
@@ -155,16 +158,16 @@ class Kinematics(NamedTuple):
         return Motion(self.time, self.q, self.d, self.omega, self.point_rate)
 
     def translation(self, ground: Vec, body: Vec) -> Vec:
-        """Translational part of a row along a direction, given in ground axes and in body axes."""
+        """Return the translational part of a row along a direction in ground and in body axes."""
         return body if self.is_body_fixed else ground
 
     def at_point(self) -> Kinematics:
-        """Kinematics for rows that act on ω and on the joint point's velocity, in body axes."""
+        """Return the kinematics for rows on ω and on the joint point's velocity, in body axes."""
         return self._replace(arm=ZERO3, point_bias=ZERO3, is_body_fixed=True)
 
 
 class Frames(NamedTuple):
-    """Transformation from the user's frames to joint axes, of points and directions."""
+    """Transform points and directions from the user's frames to joint axes."""
 
     ground: Pose
     axes: Mat  # the joint's axes in the user's body frame
@@ -184,7 +187,7 @@ class Frames(NamedTuple):
 
 
 class Motion(NamedTuple):
-    """Motion on which applied forces depend; body points are relative to the joint's point."""
+    """Applied forces depend on the motion; body points are relative to the joint's point."""
 
     time: Number
     q: Mat
@@ -194,11 +197,11 @@ class Motion(NamedTuple):
     signals: Signals = NO_SIGNALS
 
     def place_of(self, point: Vec) -> Vec:
-        """Position of a point of the body in the ground's joint frame."""
+        """Return the position of a point of the body in the ground's joint frame."""
         return mat_vec_add(self.q, point, self.place)
 
     def velocity_of(self, point: Vec) -> Vec:
-        """Velocity of a point of the body, in body axes."""
+        """Return the velocity of a point of the body, in body axes."""
         return cross_add(self.omega, point, self.v)
 
 
@@ -269,7 +272,7 @@ SLENDER = 1e3  # m c²/tr Θ above which Θ is taken in axes along c before m c�
 
 
 def about_a_point(body: BodyConstants) -> tuple[Mat, Vec, Vec, Vec]:
-    """Principal axes at the joint's point, as the columns of a rotation.
+    """Return the principal axes at the joint's point, as the columns of a rotation.
 
     Also returns, in these axes, c, the moments K_i, and K₂ − K₃, K₃ − K₁, K₁ − K₂. If Θ is small
     relative to m c², the moment about c is accurate nevertheless, and so are the differences.
@@ -337,12 +340,12 @@ def principal_axes_at_point(body: BodyConstants) -> PrincipalAxes:
 
 
 def inertia_about_com(p: Parameters) -> Mat:
-    """Inertia about the centre of mass, in the user's body axes  (Steiner)."""
+    """Return the inertia about the centre of mass, in the user's body axes  (Steiner)."""
     return sub(p.inertia, scale(p.mass, unit_inertia(p.com)))
 
 
 def unit_inertia(c: Vec) -> Mat:
-    """Inertia (c·c) I − c cᵀ of a unit mass at c."""
+    """Return the inertia (c·c) I − c cᵀ of a unit mass at c."""
     x, y, z = c
     xx, yy, zz = x * x, y * y, z * z
     xy, xz, yz = -(x * y), -(x * z), -(y * z)
@@ -409,12 +412,12 @@ class SE3:
 
     @staticmethod
     def potential_energy(body: BodyConstants, pose: Pose) -> Number:
-        """Potential energy of gravity."""
+        """Return the potential energy of gravity."""
         return _potential_energy(body, mat_vec_add(pose[0], body.com, pose[1]))
 
 
 class SO3xR3:
-    """Mixed velocity (ω, ṙ): ω in body axes, ṙ in the ground's; the body frame at the COM."""
+    """The velocity is mixed, (ω, ṙ): ω in body axes, ṙ in the ground's; body frame at the COM."""
 
     group: ModuleType = so3xr3
     charts: ModuleType = quaternionxr3
@@ -469,7 +472,7 @@ class SO3xR3:
 
     @staticmethod
     def potential_energy(body: BodyConstants, pose: Pose) -> Number:
-        """Potential energy of gravity."""
+        """Return the potential energy of gravity."""
         return _potential_energy(body, pose[1])
 
 

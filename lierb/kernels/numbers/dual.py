@@ -1,4 +1,4 @@
-"""Dual numbers x + Σ xᵢ εᵢ with εᵢ εⱼ = 0, which differentiate a formula exactly.
+"""Dual numbers x + Σ xᵢ εᵢ, where εᵢ εⱼ = 0, differentiate a formula exactly.
 
 Values and parts are numbers of any kind: floats, arrays, traced lanes, or, for second derivatives,
 dual numbers. Values have the same bits as without derivatives.
@@ -36,7 +36,7 @@ from lierb.kernels.numbers.zero import ZERO, is_zero
 
 
 class Dual:
-    """Number with its derivatives, `parts`, along some directions; () without directions."""
+    """A dual number has derivatives, `parts`, along some directions; () without directions."""
 
     __slots__ = ("parts", "value")
     __array_ufunc__: Any = None
@@ -233,7 +233,7 @@ def parts_of(x: Number) -> tuple[Any, ...]:
 
 
 def side_by_side(*numbers: Number) -> Iterator[tuple[Any, ...]]:
-    """Parts of several numbers, grouped by direction; zeros for a number without parts."""
+    """Return the parts of several numbers by direction; zeros for a number without parts."""
     parts = [parts_of(x) for x in numbers]
     nothing = (ZERO,) * max(map(len, parts))
     return zip(*(p or nothing for p in parts), strict=True)

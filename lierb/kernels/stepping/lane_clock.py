@@ -1,4 +1,4 @@
-"""Clock of a lane: current time of its trajectory, length of the next step, end of the run.
+"""A lane's clock has its trajectory's current time, the next step's length, the end of the run.
 
 Fixed steps end at t = anchor + dt·k, the same doubles as with one clock for all lanes. Adaptive
 steps end where step-size control chooses. Both also end at ticks of controllers and at the end of
@@ -47,7 +47,7 @@ def rounding_at(time: Any) -> Any:
 
 
 class Span(NamedTuple):
-    """Start and end of a run, s.
+    """A span is the start and end of a run, s.
 
     origin, counted : fixed steps start `counted` steps after `origin`, s.
     every : number of steps between two measurements.
@@ -61,7 +61,7 @@ class Span(NamedTuple):
 
 
 class LaneClock(NamedTuple):
-    """Clock of a lane.
+    """Hold the clock of a lane.
 
     t : current time, s.   h : length of the next step unless it is cut short, s.
     anchor, counted : fixed steps are counted from `anchor`, s.
@@ -84,7 +84,7 @@ class LaneClock(NamedTuple):
 
 
 class Trial(NamedTuple):
-    """A step to be tried: from `start` to `end`, of length h, s.
+    """A trial is a step to be tried, from `start` to `end`, of length h, s.
 
     is_cut : 1 where the step is cut short.
     """
@@ -96,7 +96,10 @@ class Trial(NamedTuple):
 
 
 class Verdict(NamedTuple):
-    """Outcome of a step.   accepted : 1 where it is accepted.   failed : status, OK if none."""
+    """The verdict is the outcome of a step.
+
+    accepted : 1 where it is accepted.   failed : status, OK if none.
+    """
 
     accepted: Any
     failed: Any
@@ -259,8 +262,9 @@ def _fixed(
 
 
 def to_tidy(clock: LaneClock, fresh: Any, termination: Any) -> Any:
-    """True where the pose is to be renormalised: every TIDY_EVERY steps, counted over continued
-    runs.
+    """Return where the pose is to be renormalised.
+
+    It is every TIDY_EVERY steps, counted over continued runs.
     """
     counted = clock.steps + clock.ahead
     turns = is_multiple(counted, float(TIDY_EVERY))
@@ -268,7 +272,7 @@ def to_tidy(clock: LaneClock, fresh: Any, termination: Any) -> Any:
 
 
 def to_measure(clock: LaneClock, span: Span, fresh: Any, termination: Any) -> Any:
-    """True where a trajectory is measured: every `span.every` steps, and at its end."""
+    """Return where a trajectory is measured: every `span.every` steps, and at its end."""
     return (fresh > 0.5) & (is_multiple(clock.steps, span.every) | (termination > 0.0))
 
 

@@ -1,4 +1,4 @@
-"""Protocol of a one-step method, its arguments and its results."""
+"""A protocol describes one-step methods, their arguments and their results."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from lierb.kernels.systems.system import AnySystem
 
 
 class Interval(NamedTuple):
-    """Interval of a step.
+    """Hold the interval of a step.
 
     time, span : beginning and length for functions of time, s. They differ from those of the step
         if an element jumps at its ends.
@@ -22,12 +22,12 @@ class Interval(NamedTuple):
     h: Any
 
     def part(self, theta: Any) -> Interval:
-        """Interval of the first fraction θ of the step."""
+        """Return the interval of the first fraction θ of the step."""
         return Interval(self.time, theta * self.span, theta * self.h)
 
 
 class Step(NamedTuple):
-    """Result of a step.
+    """Hold the result of a step.
 
     slopes : rates of the stages, for error estimates and dense output.
     singular : 1 where a stage has a singular configuration.
@@ -41,7 +41,7 @@ class Step(NamedTuple):
 
 
 class Defect(NamedTuple):
-    """Error estimate, a difference of two states; n as in `System`.
+    """The defect is an error estimate, a difference of two states; n as in `System`.
 
     turning, moving : of the poses, rad and m; see `System.turning_and_moving`.
     twist : of V (n,), rad/s and m/s.   states : of the extra states.
@@ -54,15 +54,18 @@ class Defect(NamedTuple):
 
 
 class Method(Protocol):
-    """One-step method for any system.   state : at the start of a step.   at : its interval."""
+    """A one-step method works for any system.
+
+    state : at the start of a step.   at : its interval.
+    """
 
     def step(
         self, system: AnySystem, body: Any, state: State, at: Interval, all_stages: bool = False
     ) -> Step:
-        """Step by h.   all_stages : also stages only for the error estimate and dense output."""
+        """Make a step by h.   all_stages : also those only for error estimate and dense output."""
 
     def defects(self, system: AnySystem, body: Any, slopes: Slopes, h: Any) -> tuple[Defect, ...]:
-        """Error estimates of a step with these slopes, the one of highest order first."""
+        """Return the step's error estimates with these slopes, the one of highest order first."""
 
     def extended(
         self, system: AnySystem, body: Any, state: State, at: Interval, slopes: Slopes
@@ -72,4 +75,4 @@ class Method(Protocol):
     def between(
         self, system: AnySystem, body: Any, state: State, at: Interval, slopes: Slopes, theta: Any
     ) -> State:
-        """State at time + θ h, 0 ≤ θ ≤ 1.   slopes : those of `extended`."""
+        """Return the state at time + θ h, 0 ≤ θ ≤ 1.   slopes : those of `extended`."""

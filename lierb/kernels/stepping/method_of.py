@@ -1,4 +1,4 @@
-"""The method of a plan."""
+"""Make the method of a plan."""
 
 from __future__ import annotations
 

@@ -22,7 +22,7 @@ def pose_of(numbers: tuple[Any, ...]) -> tuple[tuple[Any, ...], tuple[Any, ...]]
 
 
 class Field(NamedTuple):
-    """Quantity of a trajectory.
+    """A field is a quantity of a trajectory.
 
     shape : shape of its array.   unit : unit of its numbers.
     entries : indices into the flattened array, in the order of the numbers; None for all.
@@ -39,7 +39,7 @@ class Field(NamedTuple):
 
 
 class Columns:
-    """Fields side by side, with one column for each number."""
+    """Columns are fields side by side, with one column for each number."""
 
     def __init__(self, *fields: Field) -> None:
         ends = tuple(accumulate((field.width for field in fields), initial=0))
@@ -60,12 +60,12 @@ class Columns:
         return self._named[name]
 
     def index(self, name: str) -> int:
-        """Column of a field of one number."""
+        """Return the column of a field of one number."""
         first: int = self._slices[name].start
         return first
 
     def parts(self, numbers: Sequence[Any]) -> dict[str, tuple[Any, ...]]:
-        """Numbers of each field, by name."""
+        """Return the numbers of each field, by name."""
         return {name: tuple(numbers[columns]) for name, columns in self._slices.items()}
 
 
@@ -119,7 +119,7 @@ LANE_END = Columns(
 def inputs_of(
     elements: tuple[Element, ...], numbers: int = STATE.count, moving: tuple[str, ...] = ()
 ) -> Columns:
-    """INPUTS, the elements' parameters, seeds, then the numbers of a state to resume from.
+    """Return INPUTS, the elements' parameters, seeds, then the numbers of a state to resume from.
 
     moving : fields with derivatives.
     """

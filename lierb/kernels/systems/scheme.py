@@ -1,4 +1,4 @@
-"""Schemes: the coefficients of one-step methods, on which compiled code is specialised."""
+"""Compiled code is specialised on schemes, the coefficients of one-step methods."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ Stages = tuple[tuple[float, ...], ...]  # rows of weights of the stages before
 
 @dataclass(frozen=True)
 class Embedded:
-    """Error estimate of a step.
+    """An embedded method estimates the error of a step.
 
     weights : one row, b − b̂, or two rows, E₅ and E₃ of DOP853.   order : order of b̂.
     """
@@ -22,8 +22,9 @@ class Embedded:
 
 @dataclass(frozen=True)
 class Extension:
-    """A continuous extension: further stages, and each stage's weight as a polynomial in θ,
-    Σ weights[i][k] θᵏ⁺¹.
+    """A continuous extension has further stages, and each stage's weight as a polynomial in θ.
+
+    The polynomial is Σ weights[i][k] θᵏ⁺¹.
     """
 
     stages: Stages
@@ -32,7 +33,7 @@ class Extension:
 
 @dataclass(frozen=True, kw_only=True)
 class Scheme:
-    """Coefficients of a method with stages: kᵢ at y + h Σ stages[i][j] kⱼ, end at y + h Σ bᵢ kᵢ.
+    """A method with stages has kᵢ at y + h Σ stages[i][j] kⱼ and ends at y + h Σ bᵢ kᵢ.
 
     stages : strictly lower triangle of a matrix, row by row; rows for the error estimate are last.
     weights : b.
@@ -52,7 +53,7 @@ class Scheme:
 
     @property
     def described(self) -> dict[str, Any]:
-        """Arguments of the class in `lierb.methods` that make the same method."""
+        """Return the arguments of the class in `lierb.methods` that make the same method."""
         numbers: dict[str, Any] = {"A": self.stages, "b": self.weights}
         if self.embedded is not None:
             numbers |= {"error": self.embedded.weights, "error_order": self.embedded.order}
@@ -62,13 +63,13 @@ class Scheme:
 
     @property
     def last_stage(self) -> int:
-        """Number of stages needed without error estimate and dense output."""
+        """Return the number of stages needed without error estimate and dense output."""
         return max(i for i, weight in enumerate(self.weights, 1) if weight != 0.0)
 
 
 @dataclass(frozen=True, kw_only=True)
 class ExplicitScheme(Scheme):
-    """Explicit Runge–Kutta method with the matrix A and weights b of its Butcher tableau.
+    """An explicit Runge–Kutta method has the matrix A and weights b of its Butcher tableau.
 
     exponentials : rows of weights of a commutator-free method, for each stage, then for the end.
     """
@@ -89,7 +90,9 @@ class ExplicitScheme(Scheme):
 
 @dataclass(frozen=True, kw_only=True)
 class RosenbrockScheme(Scheme):
-    """Rosenbrock method: (1 − γhJ) kᵢ = γ (f(t + αᵢ h, y + h Σ Aᵢⱼ kⱼ) + Σ Cᵢⱼ kⱼ + γᵢ h ∂f/∂t).
+    """A Rosenbrock method solves linear equations in each stage.
+
+    (1 − γhJ) kᵢ = γ (f(t + αᵢ h, y + h Σ Aᵢⱼ kⱼ) + Σ Cᵢⱼ kⱼ + γᵢ h ∂f/∂t).
 
     stages : A.   couplings : C.   nodes, late : αᵢ and γᵢ.
     """

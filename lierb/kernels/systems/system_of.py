@@ -1,4 +1,4 @@
-"""The system that a plan integrates: one body, or a mechanism."""
+"""A plan integrates a system: one body, or a mechanism."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from lierb.kernels.tracing.cpu import DEFAULT_LANES
 
 @lru_cache(256)
 def in_memory(plan: AnyPlan) -> TreeLoop:
-    """System of a looped plan, which has what steps of one length need, and stores its results."""
+    """Return the system of a looped plan, for steps of one length; it stores its results."""
     assert isinstance(plan, LoopPlan)
     return TreeLoop(plan)
 
 
 @lru_cache(256)
 def system_of(plan: AnyPlan) -> AnySystem:
-    """System of a plan."""
+    """Return the system of a plan."""
     if isinstance(plan, LoopPlan):
         return cast(AnySystem, in_memory(plan))
     if isinstance(plan, MechanismPlan):
@@ -49,7 +49,7 @@ def takes_small_angle_steps(plan: AnyPlan) -> bool:
 
 @lru_cache(256)
 def plan_of(width: int, **described: Any) -> Plan:
-    """Plan for registers that hold `width` numbers, always the same object for the same arguments.
+    """Return the plan for registers of `width` numbers, one object for the same arguments.
 
     The plan is the key of its compiled code, and identity makes look-up fast.
 

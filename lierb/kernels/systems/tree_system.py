@@ -1,4 +1,4 @@
-"""System of a mechanism: inputs and start. States, rates and measures are in base classes."""
+"""The system of a mechanism has inputs and start; base classes have states, rates, measures."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ SMALL_ANGLE_STAGES = 8  # largest nodes × stages; with more, compilation takes 
 
 
 class TreeFormulation(Projection, TreeMeasures):
-    """System of a mechanism: see `lierb.kernels.systems.system.System`."""
+    """This is the system of a mechanism; see `lierb.kernels.systems.system.System`."""
 
     invariant = ()
     is_homogeneous = False
@@ -41,7 +41,7 @@ class TreeFormulation(Projection, TreeMeasures):
 
     @property
     def takes_small_angle_steps(self) -> bool:
-        """True for small mechanisms on absolute c-spaces.
+        """Return True for small mechanisms on absolute c-spaces.
 
         With two links on SE(3) such steps save a sixth of the time; on reduced coordinates they
         save nothing. The second step adds half to the compile time.
