@@ -44,12 +44,12 @@ class Sensitivities(NamedTuple):
 
     @property
     def quantities(self) -> tuple[str, ...]:
-        """Names of the differentiated quantities."""
+        """Return the names of the differentiated quantities."""
         return _names(self.summary, 0)
 
     @property
     def parameters(self) -> tuple[str, ...]:
-        """Names of the parameters."""
+        """Return the names of the parameters."""
         return _names(self.summary, 1)
 
     def array(self, of: str, with_respect_to: str) -> Array:

@@ -138,7 +138,7 @@ def _part_of(progress: Progress, number: int, runs: int) -> Progress:
 
 
 def _with_poses(ready: Ready) -> Inputs:
-    """Inputs with the closed pose of a joint as an array, on which its changes are based."""
+    """Return the inputs with the closed pose of a joint as an array, which can change."""
     inputs = ready.inputs
     if ready.pose0 is not None:
         return inputs

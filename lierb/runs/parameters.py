@@ -126,7 +126,7 @@ def _of_element(model: Model, element: Element, label: str) -> Iterator[Paramete
 
 
 def _unit(element: Element, parameter: str) -> str:
-    """Unit of an element's parameter; empty for a user's, which is unknown."""
+    """Return the unit of an element's parameter; empty for a user's, which is unknown."""
     kind = element.kind
     if isinstance(kind, BuiltIn) and parameter in kind.parameters:
         return kind.parameters[parameter].unit
@@ -151,13 +151,13 @@ def _index(model: Model, element: Element) -> int:
 
 
 def _plain(name: str, field: str, units: Array, unit: str) -> Parameter:
-    """Parameter on which the start does not depend.   units : (directions, numbers)."""
+    """Return a parameter on which the start does not depend.   units : (directions, numbers)."""
     seeds = {field: units[:, None]}
     return Parameter(name, len(units), unit, (field,), lambda start: seeds)
 
 
 def _symmetric_units() -> Array:
-    """Directions of a symmetric matrix, (6, 9)."""
+    """Return the directions of a symmetric matrix, (6, 9)."""
     units = np.zeros((len(SYMMETRIC), 3, 3))
     for direction, (i, j) in enumerate(SYMMETRIC):
         units[direction, i, j] = units[direction, j, i] = 1.0
@@ -165,7 +165,7 @@ def _symmetric_units() -> Array:
 
 
 def _geometric(model: Model, name: str, unit: str, seeds: Seeds) -> Parameter:
-    """Parameter with which the start must change: of a joint or a constraint."""
+    """Return a parameter of a joint or a constraint, with which the start changes."""
     ((field, units),) = seeds.items()
 
     def all_seeds(start: Start) -> Seeds:

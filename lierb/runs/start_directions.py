@@ -58,14 +58,14 @@ class Start:
 
     @cached_property
     def at_rest(self) -> Start:
-        """The same poses at rest, of which there may be fewer."""
+        """Return the same poses at rest, of which there may be fewer."""
         zeros = {link: np.zeros(6) for link in self.model.link_names}
         poses = dict(zip(self.model.link_names, self.poses, strict=True))
         return Start(self.model, poses, zeros, float(self.t0))
 
     @cached_property
     def mechanism(self) -> Mechanism:
-        """The model as a mechanism, without elements that have no rows."""
+        """Return the model as a mechanism, without elements that have no rows."""
         model = self.model
         motors = [force for force in model.forces if force.kind.rows]
         rows: dict[str, Any] = {"forces": motors, "constraints": model.constraints}
@@ -102,7 +102,7 @@ class Start:
 
     @cached_property
     def count(self) -> int:
-        """Number of different starts, 1 if all trajectories start alike."""
+        """Return the number of different starts, 1 if all trajectories start alike."""
         poses = {f"pose[{i}]": (pose, 2) for i, pose in enumerate(self.poses)}
         twists = {f"twist[{i}]": (twist, 1) for i, twist in enumerate(self.twists)}
         return self.mechanism.batch_size(**poses, **twists) or 1
@@ -120,7 +120,7 @@ class Start:
         return [components(twist) for twist in self.twists]
 
     def _decomposed(self, is_rate: bool) -> DecomposedRows:
-        """Decomposition of all rows, or of the holonomic ones."""
+        """Return the decomposition of all rows, or of the holonomic ones."""
         known = self._known
         if is_rate not in known:
             states = self.system.states(self.placed, self.moving, self.t0)
@@ -133,7 +133,7 @@ class Start:
         return {}
 
     def _lightest(self, wanted: Array, is_rate: bool) -> list[Array]:
-        """Changes of all links, (directions, n, 6), by which the rows change as wanted.
+        """Return the changes of all links, (directions, n, 6), by which rows change as wanted.
 
         wanted : (directions, n, rows).
         """
@@ -158,7 +158,7 @@ class Start:
         return moved
 
     def _rates(self, moved: list[Array]) -> Array | None:
-        """J X of all rows, (directions, n, rows); None without rows."""
+        """Return J X of all rows, (directions, n, rows); None without rows."""
         rates = []
         for direction in range(len(moved[0])):
             twists = [components(each[direction]) for each in moved]
@@ -172,7 +172,7 @@ class Start:
     # ---- poses and twists that follow ----------------------------------------------------------
 
     def _carried(self, frames: Frames) -> Moved:
-        """Changes of the links with which the relative motions in their joints are kept."""
+        """Return the changes of the links that keep the relative motions in their joints."""
         mechanism, shape = self.mechanism, (frames.count, self.count, 6)
         poses: dict[int, Pose] = {}
         twists: dict[int, Vec] = {}
@@ -204,7 +204,7 @@ class Start:
         return moved._replace(twists=[twist + change for twist, change in pairs])
 
     def _changes(self, frames: Frames, moved: Moved, is_rate: bool) -> Array | None:
-        """Missing changes of all rows, or of their rates, (directions, n, rows)."""
+        """Return missing changes of all rows, or of their rates, (directions, n, rows)."""
         pairs = zip(self.placed, moved.poses, strict=True)
         poses = [_turned(pose, change) for pose, change in pairs]
         twists = [
@@ -236,11 +236,11 @@ class Frames:
 
     @property
     def count(self) -> int:
-        """Number of directions."""
+        """Return the number of directions."""
         return len(next(iter(self.seeds.values())))
 
     def parameters(self, at: Connection) -> Parameters:
-        """Parameters of a connection; those of its joint are dual numbers where they change."""
+        """Return the parameters of a connection, as dual numbers where its joint changes."""
         mechanism = self.start.mechanism
         p = mechanism.parameters(at)
         if at.joint is None:
@@ -258,7 +258,7 @@ class Frames:
     def kinematics(
         self, at: Connection, poses: list[Pose], twists: list[Vec]
     ) -> tuple[Kinematics, BodyConstants, Vec]:
-        """Relative motion of a connection's frames, its constants, and D⁻¹δD as parts."""
+        """Return the relative motion of a connection, its constants, and D⁻¹δD as parts."""
         start, p = self.start, self.parameters(at)
         outside = p.ground if at.parent == NOWHERE else se3.compose(poses[at.parent], p.ground)
         relative = se3.compose(se3.compose(se3.inverse(outside), poses[at.body]), p.body)
@@ -275,7 +275,7 @@ class Frames:
         return x, body, _moved_in_body(before, relative)
 
     def _element(self, i: int) -> Iterator[Any]:
-        """Parameters of an element, component by component."""
+        """Yield the parameters of an element, component by component."""
         number = self.start.with_rows[i]
         prefix = "element" if self.start.model.fields != ("",) else ""
         element = self.start.mechanism.elements[i]
@@ -294,7 +294,7 @@ class Frames:
 
 
 def frame_seeds(frame: Array, changes: Array) -> Array:
-    """Numbers of the derivatives of poses F exp δ, (directions, n or 1, 12).
+    """Return the derivatives of the numbers of poses F exp δ, (directions, n or 1, 12).
 
     frame : (4, 4) or (n, 4, 4).   changes : δ, (directions, n or 1, 6).
     """
@@ -304,17 +304,17 @@ def frame_seeds(frame: Array, changes: Array) -> Array:
 
 
 def _rows(at: Connection, is_rate: bool) -> tuple[Any, ...]:
-    """Rows of a connection, or the holonomic ones."""
+    """Return the rows of a connection, or the holonomic ones."""
     return at.rows if is_rate else tuple(r for r in at.rows if r.is_holonomic)
 
 
 def _with_parts(numbers: Vec, changes: Array) -> Vec:
-    """Dual numbers with derivatives (directions, n or 1, numbers)."""
+    """Return dual numbers.   changes : derivatives, (directions, n or 1, numbers)."""
     return tuple(Dual(x, tuple(changes[..., i])) for i, x in enumerate(numbers))
 
 
 def _turned(pose: Pose, change: Array) -> Pose:
-    """Pose C exp δ as dual numbers, with derivatives C δ.   change : (directions, n or 1, 6)."""
+    """Return C exp δ as dual numbers, with derivatives C δ.   change : (directions, n or 1, 6)."""
     moved = [
         (*mat_mat(pose[0], skew(components(each)[:3])), *mat_vec(pose[0], components(each)[3:]))
         for each in change
@@ -324,7 +324,10 @@ def _turned(pose: Pose, change: Array) -> Pose:
 
 
 def _moved_in_body(before: Pose, after: Pose) -> Vec:
-    """C⁻¹δC, angular then linear, as dual numbers of value zero.   after : with derivatives."""
+    """Return C⁻¹δC, angular then linear, as dual numbers of value zero.
+
+    after : with derivatives.
+    """
     columns = [
         tuple(after[0][3 * i + j] - before[0][3 * i + j] for i in range(3)) for j in range(3)
     ]
@@ -335,7 +338,7 @@ def _moved_in_body(before: Pose, after: Pose) -> Vec:
 
 
 def _parts(numbers: Vec, shape: tuple[int, ...]) -> Array:
-    """Derivatives of numbers, (directions, n, numbers)."""
+    """Return the derivatives of numbers, (directions, n, numbers)."""
     parts = np.zeros(shape)
     for i, x in enumerate(numbers):
         for direction, part in enumerate(parts_of(x)):
@@ -344,7 +347,7 @@ def _parts(numbers: Vec, shape: tuple[int, ...]) -> Array:
 
 
 def omega_units(frame: Array) -> Array:
-    """Turns about a joint's point on the body, with its velocity unchanged, (3, n or 1, 6)."""
+    """Return turns about a joint's point on the body, which stays, (3, n or 1, 6)."""
     point = np.atleast_2d(frame[..., :3, 3])
     units = np.zeros((3, len(point), 6))
     for i in range(3):

@@ -338,7 +338,7 @@ def _second(value: Any, rate: Any, bend: Any) -> UserNumber:
 
 
 def _constant_in_time(numbers: tuple[Any, ...]) -> tuple[Any, ...]:
-    """Numbers with neither derivative of `_second`; they keep their own, such as by a parameter."""
+    """Return numbers without the derivatives of `_second`; they keep those by parameters."""
     return tuple(
         _constant_in_time(x) if isinstance(x, tuple)
         else UserNumber(UserNumber(x)) if isinstance(x, Dual)

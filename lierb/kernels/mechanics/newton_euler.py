@@ -307,13 +307,13 @@ class PrincipalAxes(NamedTuple):
 
     @property
     def inertia(self) -> Mat:
-        """K, row by row."""
+        """Return K, row by row."""
         (x, y, z), (xy, xz, yz) = self.moments, self.products or ZERO3
         return (x, xy, xz, xy, y, yz, xz, yz, z)
 
 
 def principal_axes_at_point(body: BodyConstants) -> PrincipalAxes:
-    """Constants in the principal axes at the joint's point, which have no derivatives.
+    """Return the constants in the principal axes at the joint's point; the axes are fixed.
 
     Any axes would do, and those of equal moments have no derivative. K has one, off its diagonal
     too.

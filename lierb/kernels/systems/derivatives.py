@@ -42,7 +42,10 @@ def on_values(formula: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def seeded(plan: AnyPlan, columns: Columns, numbers: list[Any]) -> list[Any]:
-    """Inputs as dual numbers where they have derivatives.   numbers : inputs, then their seeds."""
+    """Return the inputs, as dual numbers where they have derivatives.
+
+    numbers : inputs, then their seeds.
+    """
     if not plan.moving:
         return numbers
     own, seeds = numbers[: columns["seeds"].start], iter(numbers[columns["seeds"]])
@@ -53,7 +56,7 @@ def seeded(plan: AnyPlan, columns: Columns, numbers: list[Any]) -> list[Any]:
 
 
 def completed(plan: AnyPlan, numbers: Any) -> Any:
-    """Nested tuples in which every number has all parts, so that a state has one type throughout.
+    """Give every number of nested tuples all parts, so that a state has one type throughout.
 
     Structural zeros have no derivative, and remain.
     """
@@ -70,7 +73,7 @@ def completed(plan: AnyPlan, numbers: Any) -> Any:
 
 
 def with_parts(plan: AnyPlan, numbers: Sequence[Any], parts: Sequence[Any]) -> Sequence[Any]:
-    """Numbers with their derivatives, [number][direction]."""
+    """Return numbers as dual numbers.   parts : their derivatives, [number][direction]."""
     if not plan.moving:
         return numbers
     rest = iter(parts)
@@ -78,7 +81,7 @@ def with_parts(plan: AnyPlan, numbers: Sequence[Any], parts: Sequence[Any]) -> S
 
 
 def parts_side_by_side(numbers: Any, directions: int = DIRECTIONS) -> list[Any]:
-    """Derivatives of nested tuples of numbers, [number][direction]."""
+    """Return the derivatives of nested tuples of numbers, [number][direction]."""
     return [p for x in flatten(numbers) for p in parts_of(x) or (ZERO,) * directions]
 
 
@@ -87,7 +90,7 @@ def parts_side_by_side(numbers: Any, directions: int = DIRECTIONS) -> list[Any]:
 
 @lru_cache(64)
 def derivative_columns(plan: AnyPlan, links: int, joints: int) -> Columns:
-    """Quantities of a state that are differentiated.
+    """Return the columns of the differentiated quantities of a state.
 
     Of each link C⁻¹∂C and the change of its twist; extra states, energy, observables; λ and
     reactions if they are recorded; values of events.
@@ -106,7 +109,10 @@ def derivative_columns(plan: AnyPlan, links: int, joints: int) -> Columns:
 def differentiated(
     plan: AnyPlan, system: Any, body: Any, inputs: list[Any], state: State, time: Any
 ) -> list[Any]:
-    """Derivatives of `derivative_columns`, [column][direction].   time : s, a number or a dual."""
+    """Return the derivatives of `derivative_columns`, [column][direction].
+
+    time : s, a number or a dual number.
+    """
     seen = system.motion(body, state, time)
     directions = max(len(parts_of(x)) for x in flatten(state))
     links = [moved_in_body(link, directions) for link in system.in_user_frames(body, inputs, state)]
@@ -123,7 +129,7 @@ def differentiated(
 
 
 def moved_in_body(link: Vec, directions: int) -> tuple[Any, ...]:
-    """C⁻¹∂C, angular then linear, and ∂ω, ∂v, [number][direction].   link : R, r, ω, v."""
+    """Return C⁻¹∂C, angular then linear, and ∂ω, ∂v, [number][direction].   link : R, r, ω, v."""
     turn = values(link[:9])
     along = []
     for j in range(directions):
@@ -136,7 +142,7 @@ def moved_in_body(link: Vec, directions: int) -> tuple[Any, ...]:
 
 
 def in_time(system: Any, body: Any, state: State, time: Any) -> State:
-    """State with its time derivative as the only part: an explicit Euler step of length 0 + ε.
+    """Make an explicit Euler step of length 0 + ε: the only part is the time derivative.
 
     body, state : without derivatives.
     """

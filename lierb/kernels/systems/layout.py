@@ -133,8 +133,6 @@ def inputs_of(
 
 
 def seeds_of(fields: Sequence[Field], moving: tuple[str, ...]) -> tuple[Field, ...]:
-    """Field with the derivatives of the moving fields' numbers, [number][direction]; none if none
-    moves.
-    """
+    """Return the field of the seeds, [number of a moving field][direction]; none if none moves."""
     count = sum(field.width for field in fields if field.name in moving)
     return (Field("seeds", (DIRECTIONS * count,)),) if moving else ()

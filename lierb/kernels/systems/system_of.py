@@ -69,7 +69,7 @@ def plan_of(width: int, **described: Any) -> Plan:
 
 @lru_cache(256)
 def plan_with_derivatives(plan: AnyPlan, moving: tuple[str, ...]) -> AnyPlan:
-    """Plan of the same run, with derivatives of these fields of the inputs.
+    """Return the plan of the same run, with derivatives of these fields of the inputs.
 
     It takes one pack: dual numbers fill the registers.
     """
