@@ -130,6 +130,21 @@ class UserNumber(Dual):
     __int__ = __index__ = __complex__ = __float__
 
 
+_switches: list[bool] = []  # for each comparison and jump of the function that is traced
+
+
+def note_switch(*operands: Any) -> None:
+    """Note a comparison or a jump, and whether it depends on numbers with derivatives."""
+    _switches.append(any(parts_of(x) for x in operands))
+
+
+def noted_switches() -> bool:
+    """Return whether any noted switch depends on numbers with derivatives; forget all of them."""
+    depends = any(_switches)
+    _switches.clear()
+    return depends
+
+
 class Condition:
     """A condition, the result of a comparison, is true or false for each body.
 
@@ -189,7 +204,10 @@ def inverted(mask: Any) -> Any:
 
 
 def _compared(a: UserNumber, b: Any, holds: Callable[[Any, Any], Any]) -> Any:
-    return Condition(holds(raw(a), raw(b))) if _is_number(b) else NotImplemented
+    if not _is_number(b):
+        return NotImplemented
+    note_switch(a, b)
+    return Condition(holds(raw(a), raw(b)))
 
 
 def raw(x: Any) -> Any:

@@ -36,6 +36,7 @@ from lierb.kernels.numbers.arithmetic import (
     taken_for_granted,
     where,
 )
+from lierb.kernels.numbers.dual import by_chain_rule
 from lierb.kernels.numbers.number import Number
 from lierb.kernels.numbers.trigonometry import SINCOS_RANGE, sincos
 from lierb.kernels.numbers.vec import Vec
@@ -109,6 +110,7 @@ class HalfAngleCoefficients(NamedTuple):
     c116: Number  # 16 c₁(θ)
 
 
+@by_chain_rule
 def half_angle_coefficients(z: Number) -> HalfAngleCoefficients:
     """Return the coefficient functions at z = φ², for a time step.
 

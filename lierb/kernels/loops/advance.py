@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from lierb.kernels.groups.coefficients import TINY
-from lierb.kernels.loops.record import Record, are_finite, with_rank
+from lierb.kernels.loops.record import Record, are_finite, with_all_parts, with_rank
 from lierb.kernels.numbers.arithmetic import (
     all_lanes,
     assumptions,
@@ -15,9 +15,11 @@ from lierb.kernels.numbers.arithmetic import (
     real,
     where,
 )
+from lierb.kernels.numbers.dual import values
 from lierb.kernels.numbers.zero import ZERO, is_zero
 from lierb.kernels.stepping.method import Interval
 from lierb.kernels.stepping.method_of import method_of
+from lierb.kernels.systems.derivatives import on_values
 from lierb.kernels.systems.plan import AnyPlan
 from lierb.kernels.systems.state import NO_CONVERGENCE, NON_FINITE, OK, RAISED, SINGULAR, State
 from lierb.kernels.systems.system_of import system_of, takes_small_angle_steps
@@ -70,9 +72,10 @@ def _advanced(
 ) -> tuple[State, Record]:
     body = with_rank(plan, body, record)
     moved, singular, unsolved = _stepped(plan, body, state, time, h, invariant)
+    moved, seen, singular = with_all_parts(plan, moved), values(moved), values(singular)
     # One angle that is not finite makes all of Q so.
-    turns, places = system_of(plan).turns_and_places(moved.chart)
-    numbers = (*turns, *moved.v_or_mu, *moved.x, *places, moved.work)
+    turns, places = system_of(plan).turns_and_places(seen.chart)
+    numbers = (*turns, *seen.v_or_mu, *seen.x, *places, seen.work)
     fine = are_finite(*numbers) & (singular <= 0.5)
     if not is_zero(unsolved):
         fine = fine & (unsolved <= 0.5)
@@ -130,6 +133,7 @@ def has_invariant(plan: AnyPlan, h: Any) -> Any:
     return all_lanes(h == h if system_of(plan).invariant else h < h)
 
 
+@on_values
 def is_invariant(plan: AnyPlan, state: State, h: Any) -> Any:
     """Return whether the components of V that rows keep at zero are zero in all lanes.
 
@@ -142,6 +146,7 @@ def is_invariant(plan: AnyPlan, state: State, h: Any) -> Any:
     return all_lanes(invariant)
 
 
+@on_values
 def has_small_angles(plan: AnyPlan, body: Any, state: State, record: Record, h: Any) -> Any:
     """Return whether the next step's angles are likely to be tiny in all lanes."""
     if not takes_small_angle_steps(plan):
@@ -172,7 +177,7 @@ def advance_small_angles(
 
 
 def tidy(plan: AnyPlan, body: Any, state: State) -> State:
-    return state._replace(chart=system_of(plan).tidied(body, state.chart))
+    return with_all_parts(plan, state._replace(chart=system_of(plan).tidied(body, state.chart)))
 
 
 for _formula in (

@@ -42,6 +42,8 @@ from lierb.kernels.loops.record import (
 from lierb.kernels.loops.sharing import pack, take_share
 from lierb.kernels.loops.tables import (
     Place,
+    store_derivatives,
+    store_end_derivatives,
     store_row,
     store_start,
     store_state,
@@ -66,6 +68,7 @@ def _observe(plan, body, inputs, state, record, clock, k, column, tables, rows_p
         if save:
             at = Place(row, tables.history.shape[1], column)
             store_row(plan, body, state, record, shown, tables, at, time)
+            store_derivatives(plan, body, inputs, state, record, tables, at, time)
             if is_last:  # before the last step, the next step reports a failure
                 record = with_exceptions(plan, record, k)
         if is_last or (save and rows_per_link > 1):
@@ -113,6 +116,7 @@ def integrate_blocks(plan, inputs, counter, jobs):
         job.dt, job.steps, job.measure_every, job.save_every, job.origin, job.first_step
     )
     carried, summary, ends = numbers_at(job.carried), numbers_at(job.summary), numbers_at(job.ends)
+    slopes = numbers_at(job.end_derivatives)
     table, memory = integers_at(job.table), numbers_at(job.memory)
     tables, blocks = tables_at(job), (job.stop - job.first + lanes - 1) // lanes
     stop, resumes = job.until, job.begin == RESUMED
@@ -166,3 +170,6 @@ def integrate_blocks(plan, inputs, counter, jobs):
         else:
             store_summary(plan, body, record, summary, column)
             store_end(plan, body, state, record, ends, column)
+            store_end_derivatives(
+                plan, body, inputs, state, record, slopes, column, time_of(clock, k)
+            )

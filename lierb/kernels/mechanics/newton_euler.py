@@ -22,6 +22,7 @@ from typing import Any, NamedTuple
 from lierb.kernels.functions.signals import NO_SIGNALS, Signals
 from lierb.kernels.groups import ambient, ambientxr3, quaternion, quaternionxr3, se3, so3xr3
 from lierb.kernels.numbers.arithmetic import fma, where
+from lierb.kernels.numbers.dual import Dual, parts_of, values
 from lierb.kernels.numbers.number import Number
 from lierb.kernels.numbers.vec import (
     IDENTITY,
@@ -100,6 +101,8 @@ class BodyConstants(NamedTuple):
     # For a body that turns about a point, in principal axes: K₁ K₂ K₃; K₂ − K₃, K₃ − K₁, K₁ − K₂
     moments: Vec = ()
     differences: Vec = ()
+    # K₁₂, K₁₃ and K₂₃ there: structurally zero, with derivatives, along which the axes are fixed
+    products: Vec = ()
     dropped: Number = ZERO  # number of dependent rows at the start
     elements: tuple[Any, ...] = ()  # parameters of each force and each further constraint
     signals: Signals = NO_SIGNALS  # at the time of the evaluation
@@ -224,7 +227,16 @@ def _body(p: Parameters, origin: Vec, arm: Vec) -> BodyConstants:
 
 def gyroscopic(body: BodyConstants, omega: Vec) -> Vec:
     """Return (Kω) × ω of a body that turns about a point."""
-    return tuple(d * w for d, w in zip(body.differences, _products(omega), strict=True))
+    torque = tuple(d * w for d, w in zip(body.differences, _products(omega), strict=True))
+    if not body.products:
+        return torque
+    return add(torque, cross(_of_products(body, omega), omega))
+
+
+def _of_products(body: BodyConstants, a: Vec) -> Vec:
+    """Return the part of K a from the products of inertia, which has derivatives only."""
+    (xy, xz, yz), (x, y, z) = body.products, a
+    return fma(xy, y, xz * z), fma(xy, x, yz * z), fma(xz, x, yz * y)
 
 
 def _products(omega: Vec) -> Vec:
@@ -250,7 +262,10 @@ def spinning(body: BodyConstants, omega: Vec, fall: Vec, torque: Vec) -> Vec:
         rate = fma(pull * c[j], fall[k], -((pull * c[k]) * fall[j]))
         rate = fma(body.differences[i] * mobility, products[i], rate)
         rates.append(fma(mobility, torque[i], rate))
-    return tuple(rates)
+    if not body.products:
+        return tuple(rates)
+    more = sub(cross(_of_products(body, omega), omega), _of_products(body, tuple(rates)))
+    return tuple(fma(1.0 / k, m, x) for k, m, x in zip(body.moments, more, rates, strict=True))
 
 
 SLENDER = 1e3  # m c²/tr Θ above which Θ is taken in axes along c before m c² is added
@@ -276,6 +291,52 @@ def about_a_point(body: BodyConstants) -> tuple[Mat, Vec, Vec, Vec]:
         (shift[i] - shift[j]) + (parts[i] - parts[j]) for i, j in ((1, 2), (2, 0), (0, 1))
     )
     return mat_mat(along, turn), mat_t_vec(turn, aligned), moments, differences
+
+
+class PrincipalAxes(NamedTuple):
+    """Constants of a body in its principal axes at a point; see `about_a_point`.
+
+    products : K₁₂, K₁₃, K₂₃; empty without derivatives.
+    """
+
+    turn: Mat
+    centre: Vec
+    moments: Vec
+    differences: Vec
+    products: Vec = ()
+
+    @property
+    def inertia(self) -> Mat:
+        """Return K, row by row."""
+        (x, y, z), (xy, xz, yz) = self.moments, self.products or ZERO3
+        return (x, xy, xz, xy, y, yz, xz, yz, z)
+
+
+def principal_axes_at_point(body: BodyConstants) -> PrincipalAxes:
+    """Return the constants in the principal axes at the joint's point; the axes are fixed.
+
+    Any axes would do, and those of equal moments have no derivative. K has one, off its diagonal
+    too.
+    """
+    axes = PrincipalAxes(*about_a_point(values(body)))
+    c = sub(body.com, body.arm)
+    if not any(map(parts_of, (body.mass, *body.inertia, *c))):
+        return axes
+    about_point = axpy(body.mass, unit_inertia(c), body.inertia)
+    k = mat_t_mat(axes.turn, mat_mat(about_point, axes.turn))
+    centre = mat_t_vec(axes.turn, c)
+
+    def along(value: Any, slope: Any) -> Any:
+        return Dual(value, parts_of(slope)) if parts_of(slope) else value
+
+    pairs = zip(axes.differences, ((1, 2), (2, 0), (0, 1)), strict=True)
+    return PrincipalAxes(
+        axes.turn,
+        tuple(map(along, axes.centre, centre)),
+        tuple(map(along, axes.moments, k[::4])),
+        tuple(along(d, k[4 * i] - k[4 * j]) for d, (i, j) in pairs),
+        tuple(along(ZERO, k[i]) for i in (1, 2, 5)),
+    )
 
 
 def inertia_about_com(p: Parameters) -> Mat:

@@ -27,13 +27,13 @@ from lierb.kernels.mechanics.newton_euler import (
     Motion,
     Parameters,
     Pose,
-    about_a_point,
     girth_of,
+    principal_axes_at_point,
 )
 from lierb.kernels.mechanics.scale import bearings, pose_tolerances, twist_tolerances
 from lierb.kernels.mechanics.tree import Connection
 from lierb.kernels.numbers.arithmetic import PI, any_lanes, branch, sqrt, where
-from lierb.kernels.numbers.vec import ZERO6, Vec, diagonal, dot
+from lierb.kernels.numbers.vec import ZERO6, Vec, dot
 from lierb.kernels.numbers.zero import ZERO
 from lierb.kernels.systems.acceleration import accelerate
 from lierb.kernels.systems.body_inputs import (
@@ -89,7 +89,7 @@ class OneBody(StateArithmetic):
 
     @cached_property
     def inputs(self) -> Columns:
-        columns = inputs_of(self.plan.elements, self.state.count)
+        columns = inputs_of(self.plan.elements, self.state.count, self.plan.moving)
         if not self.plan.has_lane_clocks:
             return columns
         return Columns(*columns.fields, Field("lane", (lane_end(self.plan).count,)))
@@ -107,14 +107,15 @@ class OneBody(StateArithmetic):
         plan = self.plan
         body = body_of(plan.space, plan.elements, numbers)
         if plan.turns_about_a_point:
-            turn, centre, moments, differences = about_a_point(body)
-            turn = so3.orthonormalised(turn)
+            axes = principal_axes_at_point(body)
+            turn = so3.orthonormalised(axes.turn)
             turned = body_of(plan.space, plan.elements, numbers, turn)
-            body = plan.space.centred(turned, centre)._replace(
+            body = plan.space.centred(turned, axes.centre)._replace(
                 turn=turn,
-                origin_inertia=diagonal(moments),
-                moments=moments,
-                differences=differences,
+                origin_inertia=axes.inertia,
+                moments=axes.moments,
+                differences=axes.differences,
+                products=axes.products,
             )
         if self.slides_as_it_turns:
             shift = (*body.com[:2], ZERO)

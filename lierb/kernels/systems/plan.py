@@ -30,6 +30,7 @@ class AnyPlan(Tag):
     clock : "steps", one clock for all lanes, or "lanes", a clock for each lane.
     interpolates : whether states between steps are needed, for output and events.
     jumps : whether elements may jump at given times, at which steps then end.
+    moving : fields of the inputs that have derivatives (`lierb.kernels.systems.derivatives`).
     """
 
     lanes: int
@@ -41,6 +42,7 @@ class AnyPlan(Tag):
     clock: str = "steps"
     interpolates: bool = False
     jumps: bool = False
+    moving: tuple[str, ...] = ()
 
     if TYPE_CHECKING:
 

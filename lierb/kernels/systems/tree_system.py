@@ -11,7 +11,7 @@ from lierb.kernels.mechanics.newton_euler import girth_of
 from lierb.kernels.mechanics.spatial import twist_at
 from lierb.kernels.mechanics.tree import GROUND, HERE, MASSLESS, Ends, TreeConstants, root_of
 from lierb.kernels.numbers.vec import ZERO6, Vec, sub
-from lierb.kernels.systems.layout import Columns, Field
+from lierb.kernels.systems.layout import Columns, Field, seeds_of
 from lierb.kernels.systems.signals import lane_end
 from lierb.kernels.systems.stabilisation import Projection
 from lierb.kernels.systems.state import State
@@ -57,6 +57,7 @@ class TreeFormulation(Projection, TreeMeasures):
         columns = inputs_of(plan.links, plan.loops, plan.elements)
         return Columns(
             *columns.fields,
+            *seeds_of(columns.fields, plan.moving),
             Field("state", (self.state.count,)),
             Field("lane", (lane_end(plan).count,)),
         )
