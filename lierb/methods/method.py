@@ -59,7 +59,7 @@ class Method(ABC):
 
     @property
     def evaluations(self) -> float:
-        """Return the number of right-hand sides of a step without error estimate; NaN if it varies."""
+        """Return how many right-hand sides a step without estimate needs; NaN if it varies."""
         return math.nan
 
     @property

@@ -134,6 +134,6 @@ class Descriptor:
         return Factored([*upper, *([*row, *(ZERO,) * m] for row in rows)])
 
     def size(self, chart: Chart, x: Vec) -> Any:
-        """Return the size of a displacement X, relative to 1 rad, and to the body's size and position."""
+        """Return the size of X, relative to 1 rad and to the body's size and position."""
         length = sqrt(self.body.girth) + norm(chart[1])
         return total(x[:3]) + total(x[3:6]) * (1.0 / length)
