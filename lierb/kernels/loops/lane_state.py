@@ -16,6 +16,7 @@ from lierb.kernels.loops.record import (
     resumed_record,
     state_columns,
     store_carried,
+    with_all_parts,
 )
 from lierb.kernels.loops.tables import user_state
 from lierb.kernels.loops.workspace import DUE, NOISE_INDEX
@@ -30,6 +31,7 @@ from lierb.kernels.numbers.arithmetic import (
     store,
     where,
 )
+from lierb.kernels.numbers.dual import values
 from lierb.kernels.numbers.vec import Vec
 from lierb.kernels.stepping.lane_clock import (
     LaneClock,
@@ -40,6 +42,7 @@ from lierb.kernels.stepping.lane_clock import (
 )
 from lierb.kernels.stepping.step_size import Tolerances
 from lierb.kernels.systems.combine import NAN
+from lierb.kernels.systems.derivatives import on_values
 from lierb.kernels.systems.extra_states import Control, with_signals
 from lierb.kernels.systems.layout import LANE_END
 from lierb.kernels.systems.plan import AnyPlan
@@ -141,13 +144,14 @@ def own_start(plan: AnyPlan, body: Any, inputs: Any, rows: Any) -> State:
     placed = load_placed(plan, body, inputs)
     state, zero = initial_state(plan, body, placed, inputs), 0.0 * row_of(plan, rows, NOISE_INDEX)
     own = system_of(plan).initial_states(body) if states_of(plan) else ()
-    return state._replace(states=tuple(zero + x for x in own))
+    return with_all_parts(plan, state._replace(states=tuple(zero + x for x in own)))
 
 
 def started(
     plan: AnyPlan, body: Any, state: State, rows: Any, span: Span, limits: Tolerances
 ) -> Lanes:
     """Return the lanes before the first tick."""
+    whole, body, state = state, values(body), values(state)
     due = row_of(plan, rows, DUE)
     zero = 0.0 * row_of(plan, rows, NOISE_INDEX)
     system, periods = system_of(plan), periods_of(plan, body)
@@ -158,12 +162,12 @@ def started(
     )
     body = with_signals(plan, body, state, control)
     clock = first_clock(plan, body, state, span, limits, zero)._replace(due=due)
-    return Lanes(state, initial_record(plan, body, state), clock, control)
+    return Lanes(whole, initial_record(plan, body, state), clock, control)
 
 
 def periods_of(plan: AnyPlan, body: Any) -> Vec:
     """Return the controllers' periods, s."""
-    return system_of(plan).periods(body) if controllers_of(plan) else ()
+    return values(system_of(plan).periods(body)) if controllers_of(plan) else ()
 
 
 def _first_tick(start: Any, period: Any) -> Any:
@@ -202,9 +206,10 @@ def put_shown(
             put_row(plan, shown, first + i, number)
         return
     links = user_state(plan, body, inputs, state, lanes.record)
-    put_rows(plan, shown, 0, (*links, state.states, lanes.control.controls))
+    put_rows(plan, shown, 0, (*links, values(state.states), lanes.control.controls))
 
 
+@on_values
 def store_lane_summary(plan: AnyPlan, lanes: Lanes, summary: Any, column: Any) -> None:
     """Store LANE_SUMMARY, extra states and controls, beginning at a column."""
     clock = lanes.clock

@@ -39,7 +39,15 @@ from lierb.kernels.loops.states_in_memory import (
     restore_next,
     take_next,
 )
-from lierb.kernels.loops.tables import Place, store_row, store_start, store_summary, tables_at
+from lierb.kernels.loops.tables import (
+    Place,
+    store_derivatives,
+    store_end_derivatives,
+    store_row,
+    store_start,
+    store_summary,
+    tables_at,
+)
 from lierb.kernels.stepping.lane_clock import Span
 from lierb.kernels.stepping.step_size import Tolerances
 from lierb.kernels.systems.extra_states import with_signals
@@ -76,6 +84,7 @@ def _store_row(plan, body, inputs, state, lanes, row, own, is_saved, time):
     """Store a row of the history in the workspace.   is_saved : whether states are recorded."""
     at = Place(0, 1, 0)
     store_row(plan, body, state, lanes.record, row, tables_at(own), at, time)
+    store_derivatives(plan, body, inputs, state, lanes.record, tables_at(own), at, time)
     if is_saved:
         lane_state.put_shown(plan, body, inputs, state, lanes, numbers_at(own.shown))
 
@@ -90,6 +99,11 @@ def _store_ends(plan, body, inputs, lanes, termination, span, own):
     store_summary(plan, body, lane_state.as_ended(lanes, span, termination), summary, 0)
     store_end(plan, body, lanes.state, lanes.record, ends, 0)
     lane_state.store_lane_end(plan, body, lanes, ends)
+    seen = with_signals(plan, body, lanes.state, lanes.control)
+    store_end_derivatives(
+        plan, seen, inputs, lanes.state, lanes.record, numbers_at(own.end_derivatives), 0,
+        lanes.clock.t,
+    )  # fmt: skip
 
 
 @_part_of_loop

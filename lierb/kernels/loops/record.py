@@ -19,14 +19,18 @@ from lierb.kernels.numbers.arithmetic import (
     store,
     where,
 )
+from lierb.kernels.numbers.dual import values
 from lierb.kernels.numbers.zero import ZERO, is_zero
 from lierb.kernels.stepping.lane_clock import LaneClock
 from lierb.kernels.systems.combine import NAN
-from lierb.kernels.systems.layout import (
-    LANE_SUMMARY,
-    Columns,
-    Field,
+from lierb.kernels.systems.derivatives import (
+    completed,
+    on_values,
+    parts_side_by_side,
+    seeded,
+    with_parts,
 )
+from lierb.kernels.systems.layout import DIRECTIONS, LANE_SUMMARY, Columns, Field
 from lierb.kernels.systems.measures import (
     JOINT_ERRORS,
     JOINT_KEPT,
@@ -82,6 +86,7 @@ def carried_columns(plan: AnyPlan) -> Columns:
         Field("first_energy"), Field("status"), Field("failed_step"), Field("dropped"),
         Field("flags"), Field("observed", (len(Kept._fields) * len(observables_of(plan)),)),
         Field("joints", (joint_columns(plan),)),
+        Field("parts", (DIRECTIONS * system_of(plan).state.count * bool(plan.moving),)),
     )  # fmt: skip
     if not plan.has_lane_clocks:
         return Columns(*columns)
@@ -125,8 +130,14 @@ def _columns(plan: AnyPlan, array: Any, columns: range, first: Any) -> list[Any]
 
 
 def load_inputs(plan: AnyPlan, inputs: Any) -> list[Any]:
-    """Load the inputs, except a state to continue from."""
-    return _columns(plan, inputs, range(system_of(plan).inputs["state"].start), 0)
+    """Load the inputs, with their derivatives, except a state to continue from."""
+    columns = system_of(plan).inputs
+    return seeded(plan, columns, _columns(plan, inputs, range(columns["state"].start), 0))
+
+
+def load_values(plan: AnyPlan, inputs: Any) -> list[Any]:
+    """Load the inputs without derivatives."""
+    return [*map(values, load_inputs(plan, inputs))]
 
 
 def load_body(plan: AnyPlan, inputs: Any, table: Any, memory: Any) -> Any:
@@ -143,16 +154,23 @@ def load_placed(plan: AnyPlan, body: Any, inputs: Any) -> Any:
 
 def load_given(plan: AnyPlan, inputs: Any, time: Any) -> Any:
     """Load the part of the check of a start that depends on the pose only."""
-    return system_of(plan).pose_check(load_inputs(plan, inputs), time)
+    return system_of(plan).pose_check(load_values(plan, inputs), time)
 
 
 def initial_state(plan: AnyPlan, body: Any, placed: Any, inputs: Any) -> State:
     if plan.is_looped:
         return in_memory(plan).started(body, inputs)
     state: State = system_of(plan).start(body, placed, load_inputs(plan, inputs))
-    return state
+    return with_all_parts(plan, state)
 
 
+def with_all_parts(plan: AnyPlan, state: State) -> State:
+    """Return the state with all derivatives of every number."""
+    whole: State = completed(plan, state)
+    return whole
+
+
+@on_values
 def initial_record(plan: AnyPlan, body: Any, state: State) -> Record:
     """Return a record at the start, with numbers of the state's type."""
     nothing = 0.0 * body.mass  # not a constant, so that 1 / t of a motor is inf, not an error
@@ -175,7 +193,7 @@ def resumed_state(plan: AnyPlan, body: Any, inputs: Any) -> State:
     at = system_of(plan).inputs["state"]
     numbers = _columns(plan, inputs, range(at.start, at.stop), 0)
     state: State = system_of(plan).state_of(numbers, body)
-    return state
+    return with_all_parts(plan, state)
 
 
 def resumed_record(plan: AnyPlan, body: Any, inputs: Any, record: Record) -> Record:
@@ -202,7 +220,8 @@ def load_carried(plan: AnyPlan, body: Any, carried: Any, first: Any) -> tuple[St
     """Load state, record and exception flags of a block, from the last call."""
     columns = carried_columns(plan)
     parts = columns.parts(_columns(plan, carried, range(columns.count), first))
-    state: State = system_of(plan).state_of(parts["state"], body)
+    whole = with_parts(plan, parts["state"], parts["parts"])
+    state = with_all_parts(plan, system_of(plan).state_of(whole, body))
     numbers = (parts[name][0] for name in ("first_energy", "status", "failed_step", "dropped"))
     energy, status, step, dropped = numbers
     observed = kept_of(parts["observed"])
@@ -226,15 +245,17 @@ def store_carried(
     """Store state, record and exception flags of a block, for the next call."""
     kept, *numbers, observed, joints = record
     flags = exception_flags(plan, record)
-    for c, number in enumerate((*flatten(state), *kept, *numbers, *flags)):
+    for c, number in enumerate((*flatten(values(state)), *kept, *numbers, *flags)):
         store(carried, (c, first), number, plan.lanes)
     behind = carried_columns(plan)["observed"].start
-    for c, number in enumerate(flatten((observed, joints)), behind):
+    parts = parts_side_by_side(state) if plan.moving else []
+    for c, number in enumerate((*flatten((observed, joints)), *parts), behind):
         store(carried, (c, first), number, plan.lanes)
     if plan.is_looped:
         in_memory(plan).store_state(body, carried, carried_columns(plan).count, first)
 
 
+@on_values
 def store_end(
     plan: AnyPlan, body: Any, state: State, record: Record, ends: Any, column: Any
 ) -> None:
@@ -310,6 +331,7 @@ def are_finite(*numbers: Any) -> Any:
     return absolute(numbers[0]) <= LARGEST  # false for NaN
 
 
+@on_values
 def observe(
     plan: AnyPlan,
     body: Any,

@@ -35,6 +35,7 @@ from lierb.kernels.mechanics.newton_euler import (
 from lierb.kernels.mechanics.rows import AddedRow, HeldBody
 from lierb.kernels.mechanics.scale import ROUNDING
 from lierb.kernels.numbers.arithmetic import PI, absolute, flatten, fma, plain, where
+from lierb.kernels.numbers.dual import Dual
 from lierb.kernels.numbers.number import Number
 from lierb.kernels.numbers.vec import (
     ZERO3,
@@ -86,7 +87,8 @@ class Element:
     the body and of the ground.   needs_slide : True if it acts along e₃.   rows : number of
     constraints.   does_work : True if it can change E = T + U, U the `energy` of all elements.
     is_passive : True if it has no effect on the motion by itself.   bounds_steps : True if
-    adaptive steps respect the bounds of `travel`.
+    adaptive steps respect the bounds of `travel`.   jumping : parameters that, unless zero, make
+    the wrench jump at a place.
     """
 
     needs_axis: ClassVar[bool] = False
@@ -97,8 +99,14 @@ class Element:
     is_passive: ClassVar[bool] = False
     working: ClassVar[tuple[str, ...]] = ()  # parameters of forces without potential
     bounds_steps: ClassVar[bool] = False
+    jumping: ClassVar[tuple[str, ...]] = ()
     discontinuities: tuple[str, ...] = ()  # parameters that are times of possible jumps, s
     rows: int = 0
+
+    @property
+    def depends_on_velocity(self) -> bool:
+        """Return False if the wrench is a function of pose and time alone, for all parameters."""
+        return self.is_users or not self.is_conservative or bool(self.working)
 
     @property
     def functions(self) -> tuple[Function, ...]:
@@ -318,7 +326,8 @@ class UserRow(AddedRow):
             entries += [_second(*xs) for xs in zip(along, rate, cross(rate, omega), strict=True)]
         bend = mat_vec(r, mat_vec(frame.axes, add(x.point_bias, swing)))
         places = [_second(*xs) for xs in zip(place, mat_vec(r, v), bend, strict=True)]
-        h = self._of(body, tuple(entries), tuple(places))
+        parameters = _constant_in_time(self.placed(body)[1])
+        h = self.element.function(parameters, tuple(entries), tuple(places))[self.i]
         slope = h.parts[0] if isinstance(h, UserNumber) else ZERO
         return -slope.parts[0] if isinstance(slope, UserNumber) and slope.parts else ZERO
 
@@ -331,6 +340,16 @@ def _moving(values: Vec, rates: Vec) -> Vec:
 def _second(value: Any, rate: Any, bend: Any) -> UserNumber:
     """A number with its first and second derivative."""
     return UserNumber(UserNumber(plain(value), (rate,)), (UserNumber(plain(rate), (bend,)),))
+
+
+def _constant_in_time(numbers: tuple[Any, ...]) -> tuple[Any, ...]:
+    """Return numbers without the derivatives of `_second`; they keep those by parameters."""
+    return tuple(
+        _constant_in_time(x) if isinstance(x, tuple)
+        else UserNumber(UserNumber(x)) if isinstance(x, Dual)
+        else x
+        for x in numbers
+    )  # fmt: skip
 
 
 # ---- passive elements --------------------------------------------------------------------------

@@ -51,7 +51,7 @@ DOP853_MIX = 0.01  # weight of E₃² in the error of a method with two estimate
 
 
 class Tolerances(NamedTuple):
-    """Tolerances and limits of steps.
+    """Hold the tolerances and limits of steps.
 
     dt : length of the first adaptive step, 0 to choose it, or of all fixed steps, s.
     rtol, …_atol : tolerances of each block, rad, m, rad/s, m/s, and units of the extra states.
@@ -266,7 +266,7 @@ def _largest_of(body: Any, squares: Vec, states: Vec, scales: _Scales) -> Any:
 
 
 class Change(NamedTuple):
-    """Factor from the step tried to the next one, and log₂ of the squared error."""
+    """Hold the factor from the step tried to the next one, and log₂ of the squared error."""
 
     factor: Any
     level: Any

@@ -13,7 +13,7 @@ from lierb.kernels.mechanics.newton_euler import CSPACES, SE3, SO3xR3
 from lierb.kernels.mechanics.rows import Row, Rows
 from lierb.kernels.mechanics.tree import GROUND, Connection, Node
 from lierb.kernels.mechanics.tree_nodes import JointKind, Kind
-from lierb.kernels.systems.scheme import ExplicitScheme, Scheme
+from lierb.kernels.systems.scheme import ExplicitScheme, Scheme, StagedScheme
 
 UPDATES = ("local", "global", "ambient")
 
@@ -30,6 +30,7 @@ class AnyPlan(Tag):
     clock : "steps", one clock for all lanes, or "lanes", a clock for each lane.
     interpolates : whether states between steps are needed, for output and events.
     jumps : whether elements may jump at given times, at which steps then end.
+    moving : fields of the inputs that have derivatives (`lierb.kernels.systems.derivatives`).
     """
 
     lanes: int
@@ -41,6 +42,7 @@ class AnyPlan(Tag):
     clock: str = "steps"
     interpolates: bool = False
     jumps: bool = False
+    moving: tuple[str, ...] = ()
 
     if TYPE_CHECKING:
 
@@ -70,6 +72,11 @@ class AnyPlan(Tag):
     @property
     def has_lane_clocks(self) -> bool:
         return self.clock == "lanes"
+
+    @property
+    def has_stages(self) -> bool:
+        """True for methods whose steps end at a weighted sum of slopes."""
+        return isinstance(self.method, StagedScheme)
 
     @property
     def is_explicit(self) -> bool:

@@ -30,6 +30,7 @@ from lierb.kernels.systems import tree_places as at
 from lierb.kernels.systems.connection_table import TRAVEL, constraints_of, elements_of, listed_of
 from lierb.kernels.systems.measures import JOINT_ERRORS, JOINT_KEPT
 from lierb.kernels.systems.plan import AnyPlan, MechanismPlan
+from lierb.kernels.systems.scheme import StagedScheme
 from lierb.kernels.systems.signals import states_of
 from lierb.kernels.systems.tree_inputs import first_of_joint, inputs_of, state_columns
 
@@ -126,6 +127,7 @@ def joint_kind_of(plan: MechanismPlan, i: int) -> JointKind:
 
 def slopes_of(plan: AnyPlan) -> int:
     """Number of slopes of a step; those of a state at rest in memory come behind."""
+    assert isinstance(plan.method, StagedScheme)
     extension = plan.method.extension
     return len(plan.method.stages) + (len(extension.stages) if extension else 0)
 

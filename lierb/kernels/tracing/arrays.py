@@ -15,7 +15,7 @@ LINE = 8  # doubles in a cache line
 
 
 class Index(Traced):
-    """A traced integer (intp), the index of an array's element."""
+    """A traced integer (intp) is the index of an array's element."""
 
     __slots__ = ()
 
@@ -45,7 +45,10 @@ class Index(Traced):
 
 
 class ArrayRef(Traced):
-    """A traced C-contiguous array: of float64, read and written a pack at a time, or of int64."""
+    """A traced array is C-contiguous.
+
+    It is of float64, read and written a pack at a time, or of int64.
+    """
 
     __slots__ = ("data", "index_type", "shape")
 

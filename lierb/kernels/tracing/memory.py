@@ -21,7 +21,7 @@ LINE = 64  # bytes; rows start at a multiple of it or, if they are shorter, of t
 
 
 class Rows:
-    """Rows of memory, each a pack of `lanes` numbers.
+    """The memory has rows, each a pack of `lanes` numbers.
 
     rows[i] is row i, and rows[i:j] a tuple of rows; both ends are constants of the trace.
     """

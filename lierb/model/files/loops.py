@@ -1,4 +1,4 @@
-"""Loops of a mechanism from the equality constraints of a compiled MuJoCo model."""
+"""Make a mechanism's loops from the equality constraints of a compiled MuJoCo model."""
 
 from __future__ import annotations
 

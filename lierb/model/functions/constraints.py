@@ -1,4 +1,4 @@
-"""Constraints that are users' functions: `lierb.constraint`."""
+"""`lierb.constraint` makes constraints from users' functions."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from lierb.model.functions.tracing import DERIVATIVES, POSE, user_function
 
 
 class Constraint(Element):
-    """Constraint rows in addition to those of the joint, made by `lierb.constraint`."""
+    """Constraint rows made by `lierb.constraint` are in addition to those of the joint."""
 
     words: ClassVar = "a constraint", "constraints"
 
 
 class ConstraintFunction(Decorated):
-    """Function decorated by `lierb.constraint`: residuals of constraint rows."""
+    """A function decorated by `lierb.constraint` returns residuals of constraint rows."""
 
     def __init__(self, function: UserFunction, defaults: dict[str, Any]) -> None:
         unit = defaults.pop("unit", "m")
