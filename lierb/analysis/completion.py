@@ -1,4 +1,4 @@
-"""Completion group of a mechanism in a c-space, generated from a walk over its configurations.
+"""A walk over a mechanism's configurations generates its completion group in a c-space.
 
 A Runge–Kutta method multiplies C₀ by exponentials of velocities that satisfy the rows at its
 stages, and of their brackets. Rows that drift move the stages off the constraint set, but not out
@@ -54,7 +54,7 @@ class SingularError(ValueError):
 
 
 class Completion:
-    """Completion group K, and the rows that are constant on C₀K.
+    """Hold the completion group K, and the rows that are constant on C₀K.
 
     algebra : (k, 6 nodes), orthonormal basis of K's algebra.   exact : (rows,), bool.
     """
@@ -268,13 +268,16 @@ def _pure_translations(algebra: Array) -> Array:
 
 
 def _drift(algebra: Array, shifts: Array) -> float:
-    """Largest translation that accompanies a rotation of the algebra, modulo pure translations."""
+    """Return the largest translation that accompanies a rotation of the algebra.
+
+    The translation is modulo pure translations.
+    """
     rest = algebra[:, 3:] - algebra[:, 3:] @ shifts.T @ shifts
     return float(np.abs(rest).max(initial=0.0))
 
 
 def _pitch(algebra: Array, axis: Array) -> float:
-    """Pitch v·e/ω·e of the rotations about the axis e, ℓ/rad."""
+    """Return the pitch v·e/ω·e of the rotations about the axis e, ℓ/rad."""
     rates = algebra[:, :3] @ axis
     best = int(np.abs(rates).argmax())
     return float(algebra[best, 3:] @ axis / rates[best])

@@ -1,4 +1,4 @@
-"""C-space of a mechanism for `lierb.analysis.completion`: configurations, rows, Jacobians.
+"""`lierb.analysis.completion` takes a mechanism's c-space as configurations, rows, Jacobians.
 
 A configuration has a pose for each node of the integrated tree, and the group is the direct product
 of the nodes' groups. The pose of an absolute node is that of its link's joint frame in a common
@@ -24,7 +24,7 @@ from lierb.kernels.mechanics.tree import GROUND, HERE, MASSLESS, Node
 from lierb.kernels.numbers.arithmetic import plain
 from lierb.kernels.numbers.vec import ZERO6, Vec, add, cross_add, mat_t_vec, mat_vec_add, norm, sub
 from lierb.kernels.systems.plan import UNSTABILISED
-from lierb.kernels.systems.scheme import Scheme
+from lierb.kernels.systems.scheme import StagedScheme
 from lierb.model.connections import Connection
 from lierb.model.joints.coordinates import motions_of
 from lierb.model.mechanism.plan import mechanism_plan_of
@@ -39,8 +39,9 @@ GROUPS: dict[str, ModuleType] = {"reduced": se3, "SE3": se3, "SO3xR3": so3xr3}
 
 
 class Place(NamedTuple):
-    """Rows between two nodes.   inner, outer : joint frames in the frames of `body`, `parent`.
+    """A place has the rows between two nodes.
 
+    inner, outer : joint frames in the frames of `body`, `parent`.
     second : second joint of rows that couple two.
     """
 
@@ -55,7 +56,7 @@ class Place(NamedTuple):
 
 
 class RowValues(NamedTuple):
-    """Values and gradients of all rows at n configurations, in units of the mechanism's length.
+    """All rows have values and gradients at n configurations, in units of the mechanism's length.
 
     values : h, (n, rows), zero for rows on velocities.
     gradients : (n, rows, freedoms), divided by `lengths`.
@@ -71,7 +72,7 @@ class RowValues(NamedTuple):
 
 
 class Space:
-    """C-space of a mechanism, with lengths in units of the mechanism's length.
+    """The lengths of a mechanism's c-space are in units of the mechanism's length.
 
     length : m.   rows : rows of all places, without those of motors.
     """
@@ -84,7 +85,7 @@ class Space:
             cspaces,
             UNSTABILISED,
             update="local",
-            method=Scheme(stages=((),), weights=(1.0,)),
+            method=StagedScheme(stages=((),), weights=(1.0,)),
             multipliers=False,
         ).tree
         self.nodes = {node.link: i for i, node in enumerate(self.tree) if node.link != MASSLESS}
@@ -108,7 +109,7 @@ class Space:
     # ---- constants -----------------------------------------------------------------------------
 
     def _length(self) -> float:
-        """Largest length of a link, m, including the arms from its centre of mass to its joints."""
+        """Return the largest length of a link, m, with arms from centre of mass to joints."""
         mechanism = self.mechanism
         lengths = [length_of(mechanism.parameters(at)) for at in mechanism.joints]
         for at in mechanism.joints:
@@ -301,7 +302,7 @@ class Space:
         return stacked if shape else stacked[:, 0]
 
     def rounding(self, poses: list[Pose]) -> Array:
-        """Bounds of the rows' rounding errors, (rows,), which grow with the distance of the links.
+        """Return bounds of rows' rounding errors, (rows,), which grow with the links' distance.
 
         For rows of joints, these bounds matter only in redundant loops.
         """

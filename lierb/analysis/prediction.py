@@ -32,7 +32,7 @@ from lierb.support.arrays import Array, Pose, as_poses, pose_components
 
 @dataclass(frozen=True)
 class Prediction:
-    """Prediction of the rows that the update on one c-space satisfies exactly.
+    """A prediction states the rows that the update on one c-space satisfies exactly.
 
     Attributes
     ----------
@@ -69,7 +69,7 @@ class Prediction:
 
 
 class Predictions(dict[str, Prediction]):
-    """Prediction for each c-space; prints as a table."""
+    """Hold the prediction for each c-space, and print as a table."""
 
     def __str__(self) -> str:
         return _table(HEAD, [_table_row(p) for p in self.values()])
@@ -78,7 +78,7 @@ class Predictions(dict[str, Prediction]):
 
 
 class JointPredictions(dict[str, Prediction]):
-    """Predictions for a mechanism in one c-space, one for each link's joint, loop and constraint.
+    """A mechanism has, in one c-space, one prediction for each link's joint, loop and constraint.
 
     Attributes
     ----------
@@ -111,7 +111,7 @@ class JointPredictions(dict[str, Prediction]):
 
 
 class MechanismPredictions(dict[str, JointPredictions]):
-    """JointPredictions for each c-space; prints as a table, joint by joint."""
+    """Hold the JointPredictions for each c-space, and print as a table, joint by joint."""
 
     def __str__(self) -> str:
         names = list(next(iter(self.values())))
@@ -202,6 +202,9 @@ def predict(
     The algebra is generated numerically (ranks to 1e-8) from the kernels of J at configurations
     sampled until its dimension is stable. With update="ambient" it is closed under products of dual
     quaternions, not only under brackets, so that K is larger or equal.
+
+    The prediction is for explicit and Rosenbrock methods, and for Verlet's. RATTLie and the
+    generalised α methods solve for the rows, and satisfy all of them in each step.
 
     Examples
     --------

@@ -34,6 +34,22 @@ def residuals(rows: Rows, x: Kinematics, body: HeldBody) -> list[Number]:
     return [r.value(x, body) if r.has_value else turns[r.fixed_axis] for r in rows]
 
 
+def smooth_residuals(rows: Rows, x: Kinematics, body: HeldBody) -> list[Number]:
+    """Return the value h of every row, with the gradient J wherever all are zero.
+
+    That of an `Omega` row is an entry of Q, or for three such rows of its skew part.
+    """
+    fixed = fixed_axes(rows)
+    values: dict[int | None, Number] = {}
+    for i in fixed:
+        j, k = (i + 1) % 3, (i + 2) % 3
+        if len(fixed) == 3:
+            values[i] = 0.5 * (x.q[3 * k + j] - x.q[3 * j + k])
+        else:  # the axis that the rows keep is k, or j
+            values[i] = x.q[3 * k + j] if k not in fixed else -x.q[3 * j + k]
+    return [r.value(x, body) if r.has_value else values[r.fixed_axis] for r in rows]
+
+
 def _tilt(q: Vec, axis: int) -> dict[int | None, Number]:
     """Angles, rad, between a body's axis and the ground's, about each of the two other axes."""
     i, j = (axis + 1) % 3, (axis + 2) % 3

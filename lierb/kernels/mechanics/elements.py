@@ -87,7 +87,7 @@ class Element:
     joints at whose axes it acts, if it needs one.   rows : number of constraints.
     does_work : True if it can change E = T + U, U the `energy` of all elements.   is_passive : True
     if it has no effect on the motion by itself.   bounds_steps : True if adaptive steps respect the
-    bounds of `travel`.
+    bounds of `travel`.   jumping : parameters that, unless zero, make the wrench jump at a place.
     """
 
     needs_axis: ClassVar[bool] = False
@@ -99,8 +99,14 @@ class Element:
     is_passive: ClassVar[bool] = False
     working: ClassVar[tuple[str, ...]] = ()  # parameters of forces without potential
     bounds_steps: ClassVar[bool] = False
+    jumping: ClassVar[tuple[str, ...]] = ()
     discontinuities: tuple[str, ...] = ()  # parameters that are times of possible jumps, s
     rows: int = 0
+
+    @property
+    def depends_on_velocity(self) -> bool:
+        """Return False if the wrench is a function of pose and time alone, for all parameters."""
+        return self.is_users or not self.is_conservative or bool(self.working)
 
     @property
     def functions(self) -> tuple[Function, ...]:

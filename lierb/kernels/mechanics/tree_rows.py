@@ -1,4 +1,4 @@
-"""Accelerations of the nodes of a tree, and rows that constrain those of two nodes."""
+"""Rows constrain the accelerations of two nodes of a tree."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from lierb.kernels.numbers.zero import ZERO, is_zero
 
 
 class Response(NamedTuple):
-    """Accelerations of all nodes under some loads."""
+    """Hold the accelerations of all nodes under some loads."""
 
     moved: tuple[Vec, ...]  # A of each node, or of unit loads
     rates: tuple[Vec, ...]  # S ν̇
@@ -22,7 +22,7 @@ class Response(NamedTuple):
 
 
 class NodeRow(NamedTuple):
-    """A row on the accelerations of two nodes: push·A − pull·A_other = wanted.
+    """A row constrains the accelerations of two nodes: push·A − pull·A_other = wanted.
 
     push, pull : the row as wrenches about the nodes' frames.   fall : see `Relative`.
     stiffness : s, for a row of the joint that connects `node` to its parent `other`.
@@ -44,7 +44,7 @@ class NodeRow(NamedTuple):
         return (self,) if self.also is None else (self, self.also)
 
     def loads(self, size: Number = 1.0) -> dict[int, Vec]:
-        """Wrenches on the nodes for a multiplier −size."""
+        """Return the wrenches on the nodes for a multiplier −size."""
         wrenches: dict[int, Vec] = {}
         for each in self.parts:
             add_loads(wrenches, {each.node: scale(size, each.push)})
@@ -53,7 +53,7 @@ class NodeRow(NamedTuple):
         return wrenches
 
     def of(self, response: Response) -> Number:
-        """Left-hand side of the row at some accelerations."""
+        """Return the left-hand side of the row at some accelerations."""
         total: Number = ZERO
         for each in self.parts:
             total = total + dot(each.push, response.moved[each.node])
@@ -83,14 +83,14 @@ def add_loads(total: dict[int, Vec], more: dict[int, Vec]) -> None:
 def node_row(
     connection: Connection, relative: Relative, jacobian: Vec, inner: Pose, wanted: Any
 ) -> NodeRow:
-    """Row of a connection, in the accelerations of its nodes.   jacobian : J of J·V_rel."""
+    """Return a connection's row, in the accelerations of its nodes.   jacobian : J of J·V_rel."""
     push = jacobian if connection.hangs else wrench_from(inner, jacobian)
     pull = wrench_from(relative.seat, jacobian)
     return NodeRow(connection.node, connection.other, push, pull, relative.fall, wanted)
 
 
 def stiffness_of(rows: Sequence[NodeRow], i: int, directions: list[Vec]) -> list[list[Number]]:
-    """Sum Σ s BᵀB over the rows B ν̇ that make node i stiff."""
+    """Return Σ s BᵀB over the rows B ν̇ that make node i stiff."""
     count = len(directions)
     total: list[list[Number]] = [[ZERO] * count for _ in range(count)]
     for each in rows:

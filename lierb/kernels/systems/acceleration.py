@@ -1,4 +1,4 @@
-"""Accelerations and multipliers of one body, from the saddle point of mass matrix and rows."""
+"""Compute accelerations and multipliers of one body, from the saddle point of M and its rows."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from lierb.kernels.systems.plan import Plan
 
 
 class Acceleration(NamedTuple):
-    """Solution of the saddle point.
+    """Hold the solution of the saddle point.
 
     rate : V̇, (6,).   turning, moving : ω̇, and the acceleration of the joint's point, in body axes.
     multipliers : λ, in the order of the plan's rows.

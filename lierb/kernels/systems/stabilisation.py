@@ -1,4 +1,4 @@
-"""Stabilisation by projection of pose and velocity onto all rows after each step.
+"""Stabilise by projecting pose and velocity onto all rows after each step.
 
 Baumgarte's terms are in the accelerations, `lierb.kernels.systems.tree_acceleration`.
 """
@@ -25,7 +25,7 @@ UNMOVED = 1e-6
 
 
 class Projection(TreeAccelerations):
-    """Projection of poses and velocities onto all rows, with the least kinetic energy."""
+    """Project poses and velocities onto all rows, with the least kinetic energy."""
 
     def stabilised(
         self, body: TreeConstants, before: State, state: State, time: Any, h: Any
@@ -70,11 +70,11 @@ class Projection(TreeAccelerations):
         return Stabilised(kept, mark, x, change)
 
     def _violation(self, body: TreeConstants, chart: Charts, time: Any) -> Any:
-        """Violation of the rows at a pose; see `Relatives.violation`."""
+        """Return the violation of the rows at a pose; see `Relatives.violation`."""
         return self.relatives(body, self.motion_at(body, chart, None, time)).violation()
 
     def _newton_step(self, body: TreeConstants, chart: Charts, time: Any) -> Vec:
-        """Newton step onto all rows, in the algebra."""
+        """Return the Newton step onto all rows, in the algebra."""
         motion = self.motion_at(body, chart, None, time)
         relatives = self.relatives(body, motion)
         wanted = [-relatives.residual(number, row) for number, row in self.rows]
@@ -94,7 +94,7 @@ class Projection(TreeAccelerations):
     def _displaced(
         self, motion: TreeMotion, relatives: Relatives, wanted: list[Any], biases: list[Vec]
     ) -> Vec:
-        """Smallest motion, in the kinetic metric, with the components `wanted` along the rows."""
+        """Return the smallest motion, in the kinetic metric, with row components `wanted`."""
         rows = [each.on_still_ground() for each in self.equations(relatives, wanted)]
         violation = partial(self.violation_of, motion)
         solution = solved(bodies_of(motion, rows), rows, {}, biases, violation=violation)

@@ -1,4 +1,4 @@
-"""Rigid bodies: mass, centre of mass and inertia."""
+"""A rigid body has mass, centre of mass and inertia."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ MOMENTS_OF_EACH = "inertia[:, :, None] * np.eye(3)"
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
 class Body(Represented):
-    """A rigid body, or a batch of them.
+    """A `Body` is one rigid body, or a batch of them.
 
     Parameters
     ----------

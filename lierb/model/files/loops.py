@@ -1,4 +1,4 @@
-"""Loops and couplings of a mechanism from the equality constraints of a compiled MuJoCo model."""
+"""Make loops and couplings from the equality constraints of a compiled MuJoCo model."""
 
 from __future__ import annotations
 

@@ -32,6 +32,7 @@ class JointLimit(AtJoint):
     }
     is_conservative: ClassVar = True
     working: ClassVar = ("damping",)
+    jumping: ClassVar = ("damping",)
 
     def _beyond(self, placed: Any, x: Motion) -> tuple[Any, Any]:
         """Signed distance beyond a stop, and the damping there."""

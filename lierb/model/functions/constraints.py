@@ -1,4 +1,4 @@
-"""Constraints that are users' functions: `lierb.constraint`, `lierb.velocity_constraint`."""
+"""`lierb.constraint` and `lierb.velocity_constraint` make constraints from users' functions."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from lierb.support.arrays import Array
 
 
 class Constraint(Element):
-    """Constraint rows in addition to those of the joint.
+    """Constraint rows are in addition to those of the joint.
 
     They are made by `lierb.constraint` and `lierb.velocity_constraint`.
     """
@@ -39,7 +39,7 @@ class Constraint(Element):
 
 
 class ConstraintFunction(Decorated):
-    """Function decorated by `lierb.constraint`: residuals of constraint rows.
+    """A function decorated by `lierb.constraint` returns residuals of constraint rows.
 
     units : units of residuals that are errors of position, and of rotation.
     """

@@ -1,4 +1,4 @@
-"""Sampled controllers made from users' functions: `lierb.controller`."""
+"""`lierb.controller` makes sampled controllers from users' functions."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ class Controller(NamedValues):
 
 
 class ControllerFunction(Decorated):
-    """Function decorated by `lierb.controller`: outputs at sampled times."""
+    """A function decorated by `lierb.controller` returns outputs at sampled times."""
 
     def __init__(self, function: UserFunction, defaults: dict[str, Any]) -> None:
         parameters = dict(defaults)

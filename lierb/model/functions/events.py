@@ -1,4 +1,4 @@
-"""Events made from users' functions: `lierb.event`."""
+"""`lierb.event` makes events from users' functions."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from lierb.model.functions.tracing import by_feeling, seen_by, user_function
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Event(Element):
-    """Zero crossing of a function of the motion, made by `lierb.event`.
+    """An event is a zero crossing of a function of the motion, made by `lierb.event`.
 
     Attributes
     ----------
@@ -66,7 +66,7 @@ class Event(Element):
 
 
 class EventFunction(Decorated):
-    """Function decorated by `lierb.event`: a number whose zeros are events."""
+    """A function decorated by `lierb.event` returns a number whose zeros are events."""
 
     def __init__(self, function: UserFunction, defaults: dict[str, Any]) -> None:
         direction, terminal = defaults.pop("direction", 0), defaults.pop("terminal", False)

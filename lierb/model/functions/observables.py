@@ -1,4 +1,4 @@
-"""Observables made from users' functions: `lierb.observable`."""
+"""`lierb.observable` makes observables from users' functions."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from lierb.model.functions.tracing import by_feeling, seen_by, user_function
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Observable(Element):
-    """Number recorded along the motion, made by `lierb.observable`.
+    """An observable is a number recorded along the motion, made by `lierb.observable`.
 
     Attributes
     ----------
@@ -62,7 +62,7 @@ class Observable(Element):
 
 
 class ObservableFunction(Decorated):
-    """Function decorated by `lierb.observable`: a number recorded along the motion."""
+    """A function decorated by `lierb.observable` returns a number recorded along the motion."""
 
     def __init__(self, function: UserFunction, defaults: dict[str, Any]) -> None:
         unit = require_unit("unit", defaults.pop("unit", "1"))

@@ -1,4 +1,4 @@
-"""Conversion of users' functions to functions for kernels: arguments, trial, errors."""
+"""Convert users' functions to functions for kernels: arguments, trial, errors."""
 
 from __future__ import annotations
 
@@ -108,7 +108,7 @@ def runnable(traced: Function, function: UserFunction, because: str | None = Non
 
 
 def why_untraced(function: Function, attempt: Callable[[Function], Any]) -> str | None:
-    """Reason why `attempt`, such as `trial`, cannot trace the function; None if it can.
+    """Return the reason why `attempt`, such as `trial`, cannot trace the function; None if it can.
 
     Raises ForceError for a function that depends on more than its arguments; Numba must not
     compile it either.
@@ -128,7 +128,7 @@ def why_untraced(function: Function, attempt: Callable[[Function], Any]) -> str 
 
 
 def _frames_of_lierb() -> int:
-    """Number of frames of lierb above the caller's, for the stack level of a warning."""
+    """Count the frames of lierb above the caller's, for the stack level of a warning."""
     frame, count = inspect.currentframe(), 0
     while frame is not None and frame.f_globals.get("__name__", "").partition(".")[0] == "lierb":
         frame, count = frame.f_back, count + 1
@@ -143,7 +143,7 @@ def form_of_any(
     arguments: tuple[str, ...] = MOTION,
     further: tuple[str, ...] = (),
 ) -> tuple[str, ...]:
-    """Names of the function's arguments in its order.
+    """List the function's arguments in its order.
 
     They are any of `arguments`, params, body, `signals` and `further`.
     """
@@ -241,7 +241,7 @@ _IN_PLAIN_WORDS = {
 
 
 def _sentence(error: Exception) -> str:
-    """First informative line of an error's message."""
+    """Return the first informative line of an error's message."""
     text = str(error)
     for words, plain in _IN_PLAIN_WORDS.items():
         if words in text:
