@@ -164,14 +164,6 @@ def test_a_given_position_drifts_and_leaves_the_joints_as_they_are():
         assert joints["motor"].rows_exact == (False,)
 
 
-def test_looped_code_has_no_motion_as_given():
-    machine = driven()
-    with pytest.raises(ArgumentError, match='solver="looped" does not support rows with multipl'):
-        lierb.integrate(
-            machine, twist0=machine.project(machine.twist()), dt=0.1, t_end=1.0, solver="looped"
-        )
-
-
 def test_a_study_drives_joints_and_names_the_units():
     cart = lierb.Link("cart", lierb.Body(1.0, (0.1, 0.1, 0.1)), lierb.joints.prismatic())
     wheel = lierb.Link(

@@ -10,7 +10,7 @@ from cases import column, integrate, tiered
 from public_cases.shared import summed
 
 import lierb
-from lierb.errors import ArgumentError, ForceError, TwistError
+from lierb.errors import ForceError, TwistError
 
 # ---- Chaplygin's sleigh ------------------------------------------------------------------------
 
@@ -210,14 +210,6 @@ def test_what_is_no_constraint_on_velocities_is_refused(what):
     make, error, told = REFUSED[what]
     with pytest.raises(error, match=told):
         make()
-
-
-def test_looped_code_has_no_velocity_constraints():
-    machine = lierb.Mechanism(
-        lierb.Link("sleigh", sleigh().body, lierb.joints.planar()), constraints=blade()
-    )
-    with pytest.raises(ArgumentError, match='solver="looped" does not support rows with multipl'):
-        lierb.integrate(machine, twist0=machine.twist(), dt=0.1, t_end=1.0, solver="looped")
 
 
 def test_the_body_and_parameters_are_seen():

@@ -25,9 +25,9 @@ from lierb.kernels.numbers.vec import Vec, add, cross, dot, mat_mat, mat_t_vec, 
 from lierb.kernels.systems.layout import POSE
 from lierb.model.base import Model
 from lierb.model.connections import NOWHERE, Connection
+from lierb.model.mechanism.decomposition import DecomposedRows
 from lierb.model.mechanism.links import Link
 from lierb.model.mechanism.mechanism import Mechanism
-from lierb.model.mechanism.decomposition import DecomposedRows
 from lierb.model.mechanism.row_system import System, velocity_of
 from lierb.model.problem import Problem
 from lierb.support.arrays import Array, assembled, components, pose_components

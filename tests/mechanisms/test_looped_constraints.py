@@ -18,7 +18,7 @@ from lierb.runs.starts import ready
 from mechanisms import samples
 from mechanisms.benchmarks import a02
 from mechanisms.shared import bits
-from mechanisms.test_tree_loop import body, frame, part
+from mechanisms.test_tree_loop import body, frame, part, start_of, tree_of
 
 G0 = 9.81
 DT, STEPS = 2e-3, 10
@@ -300,3 +300,27 @@ def test_forty_windows_move_as_one_pendulum():
         place = i + 0.5 * np.sin(phi), 0.5 * np.cos(phi), 0.0
         # Measured: 6e-11 m. Rounding grows where the rank falls; see docs/decisions/trees.md.
         np.testing.assert_allclose(result[f"crank{i}"].position[0], place, rtol=0, atol=1e-9)
+
+
+# ---- motion as given ---------------------------------------------------------------------------
+
+
+@lierb.velocity_constraint
+def blade(omega, v):
+    return v[1] + 0.1 * omega[0]
+
+
+def test_given_motions_and_constraints_on_velocities_act_as_in_unrolled_formulas():
+    """The counted turns of the driven joint are its position, beyond one turn."""
+    base = tree_of(("revolute", "spherical", "revolute", "revolute"), seed=3)
+    motor = lierb.forces.motor(position=lambda t: 0.3 + 80.0 * t).on("link0")
+    given = {"gravity": base.gravity, "forces": motor, "constraints": blade().on("link2")}
+    mechanism = lierb.Mechanism(base.links, **given)
+    start = start_of(mechanism)
+    pose0 = mechanism.close(start["pose0"])
+    start = {"pose0": pose0, "twist0": mechanism.project(start["twist0"], pose0)}
+    agree(mechanism, start)
+    counted = lierb.turns(start=0.3).on("link0")
+    result = looped(lierb.Mechanism(base.links, **given, states=counted), start)
+    turned = np.array(result.summary["turned"].to_pylist())
+    np.testing.assert_allclose(turned, 0.3 + 80.0 * DT * STEPS, rtol=0, atol=1e-12)

@@ -109,6 +109,11 @@ class Element:
         return self.is_users or not self.is_conservative or bool(self.working)
 
     @property
+    def feels(self) -> bool:
+        """Return whether a function of the element takes accelerations."""
+        return False
+
+    @property
     def functions(self) -> tuple[Function, ...]:
         """User's functions of the element."""
         members = (getattr(self, name, None) for name in ("function", "potential"))
@@ -308,7 +313,6 @@ class Passive(Element):
 
     @property
     def feels(self) -> bool:
-        """True if the function takes accelerations."""
         return any(FELT[0] in dict(f.arguments) for f in self.functions)
 
     def arguments(self, placed: Any, x: Motion) -> tuple[Any, ...]:

@@ -164,7 +164,7 @@ class PassiveElements:
         elements = self._all(AddedStates, body)
         motion_of: Callable[[int], Motion | None] = lambda _: None
         if any(e.depends_on_pose for _, e, _ in elements):
-            motion_of = self.motions(body, self.motion(body, state, ZERO), ZERO)
+            motion_of = self.motions(body, self.motion(body, state, ZERO, is_next=True), ZERO)
         return tuple(y for i, e, own in elements for y in e.at_start(own, motion_of(i)))
 
     def initial_memory(self, body: Any) -> Vec:

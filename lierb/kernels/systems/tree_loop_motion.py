@@ -85,18 +85,21 @@ class LoopMotions(LoopRows):
         """Store the motion of the nodes at the state or the next one; return that of elements."""
         tree = self._tree(body)
         self._see(tree, is_next)
-        return LoopMotion(self._of_passive(tree), is_next)
+        return LoopMotion(self._of_passive(body), is_next)
 
     def _see(self, tree: MemoryTree, is_next: bool) -> None:
         """Store the motion of the nodes at the state or the next one."""
         self._stay(tree, is_next)
         self._call_place(tree, self._spare(tree), is_whole=True, of_next=is_next)
 
-    def _of_passive(self, tree: MemoryTree) -> tuple[Motion, ...]:
-        """Motions of the plan's passive elements, from those of the nodes in memory."""
-        kinds = [kind for kind in self.plan.listed_kinds if kind.element.is_passive]
-        pairs = ((x.node.motion, x.other.motion) for x in map(tree.listed, range(len(kinds))))
-        return tuple(between(HERE, frame_on(here), other, ZERO)[0] for here, other in pairs)
+    def _of_passive(self, body: LoopBody) -> tuple[Motion, ...]:
+        """Return the motions of the plan's passive elements, from those of the nodes in memory."""
+        tree, motions = self._tree(body), []
+        for k, frames in enumerate(body.frames):
+            (inner, outer), at_ends = frames or (HERE, HERE), tree.listed(k)
+            frame = frame_on(at_ends.node.motion, inner)
+            motions.append(between(outer, frame, at_ends.other.motion, ZERO)[0])
+        return tuple(motions)
 
     def motions(self, body: LoopBody, motion: LoopMotion, time: Any) -> Callable[[int], Motion]:
         first = len(self.plan.elements) - len(motion.of_passive)

@@ -123,14 +123,19 @@ class LoopStart(TreeInMemory):
     def _with_elements(self, tree: MemoryTree, body: LoopBody, numbers: Numbers) -> LoopBody:
         """Return the constants with those of passive elements, and the times of jumps."""
         placed: list[Any] = []
+        frames: list[tuple[Any, ...]] = []
         for k, kind in enumerate(self.plan.listed_kinds):
-            *_, found = _placed(tree.listed(k), kind, numbers)
+            inner, outer, found = _placed(tree.listed(k), kind, numbers)
             placed.append(found)
+            frames.append((inner, outer) if kind.on_joint else ())
         passive = [e for e in self.plan.elements if e.is_passive]
         others: tuple[Any, ...] = ((),) * (len(self.plan.elements) - len(passive))
         jumping = zip(self.plan.listed_kinds, placed, strict=True)
         jumps = (time for kind, own in jumping for time in kind.element.jumps(own))
-        return body._replace(elements=(*others, *placed[: len(passive)]), jumps=tuple(jumps))
+        elements = (*others, *placed[: len(passive)])
+        return body._replace(
+            elements=elements, frames=tuple(frames[: len(passive)]), jumps=tuple(jumps)
+        )
 
     def _load_element(self, element: MemoryElement, numbers: Numbers) -> None:
         def do(kind: ElementKind) -> None:

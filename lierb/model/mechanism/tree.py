@@ -245,7 +245,7 @@ class Tree(Model):
             element = replace(element, at=self.names)
         if element.kind.needs_axis:
             return self._on_joint(label, element)
-        if len(element.at) > 1 and getattr(element.kind, "feels", False):
+        if len(element.at) > 1 and element.kind.feels:
             raise ForceError(
                 f"{label}, {element.name}, takes accelerations, which are relative to the ground, "
                 f"but is on two links; place it by .on({element.at[0]!r})"
