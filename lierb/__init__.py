@@ -16,11 +16,12 @@ from lierb.model import bodies, forces, joints
 from lierb.model.bodies.body import Body
 from lierb.model.formulation import baumgarte
 from lierb.model.functions import noise
-from lierb.model.functions.constraints import constraint
+from lierb.model.functions.constraints import constraint, velocity_constraint
 from lierb.model.functions.controllers import controller
 from lierb.model.functions.events import event
 from lierb.model.functions.observables import observable
 from lierb.model.functions.states import states
+from lierb.model.functions.turns import turns
 from lierb.model.functions.wrenches import wrench
 from lierb.model.mechanism.links import Link, Loop
 from lierb.model.mechanism.mechanism import Mechanism
@@ -42,8 +43,8 @@ __all__ = [
     "TABLEAUS", "Body", "ButcherTableau", "Link", "Loop", "Mechanism", "Problem", "Result",
     "animate", "animation", "baumgarte", "bodies", "clip", "constraint", "controller",
     "convergence", "errors", "event", "forces", "info", "integrate", "joints", "lie", "log",
-    "noise", "observable", "predict", "quaternion", "sampling", "states", "table", "warmup",
-    "where", "wrench",
+    "noise", "observable", "predict", "quaternion", "sampling", "states", "table", "turns",
+    "velocity_constraint", "warmup", "where", "wrench",
 ]  # fmt: skip
 
 # Public names of modules: `from lierb.joints import revolute`.

@@ -18,6 +18,7 @@ from lierb.model.mechanism.mechanism import Mechanism
 from lierb.model.problem import Problem
 from lierb.results.failures import STATUS_NAMES, Failures, warn_of
 from lierb.results.result import Result
+from lierb.results.sensitivities import sensitivities
 from lierb.results.tables import (
     events_table,
     history_table,
@@ -27,12 +28,19 @@ from lierb.results.tables import (
 )
 from lierb.runs import engine
 from lierb.runs.continuation import End
+from lierb.runs.derivatives import (
+    Derivatives,
+    integrate_with_derivatives,
+    require_differentiable,
+)
 from lierb.runs.options import Options
 from lierb.runs.output import Output
+from lierb.runs.parameters import chosen_parameters
 from lierb.runs.provenance import provenance
 from lierb.runs.starts import Ready, ready
 from lierb.runs.stiff_runs import warn_of_stiff_run
 from lierb.runs.stiffness import warn_of_stiff_steps
+from lierb.runs.switches import warn_of_switches
 from lierb.support.arrays import Array
 from lierb.support.progress import Progress, check_progress
 
@@ -66,6 +74,7 @@ def integrate(
     record: Iterable[str] = (),
     measure_every: int = 1,
     events: Event | Iterable[Event] = (),
+    with_respect_to: str | Iterable[str] = (),
     # the call
     seed: int = 0,
     trajectories: ArrayLike | None = None,
@@ -114,8 +123,9 @@ def integrate(
         each of these times, and the stages of a step evaluate the function on their own side of it.
         Times that differ between trajectories are parameters of a `lierb.wrench`. Default: none.
     method : str or Method, optional
-        A name of `lierb.methods.METHODS`, a `ButcherTableau` or a `RosenbrockTableau`. Adaptive
-        steps need an embedded method. Default: "RK4"; with adaptive steps "DOP853".
+        A name of `lierb.methods.METHODS`, a `ButcherTableau`, a `RosenbrockTableau` or a
+        `generalised_alpha`. Adaptive steps need an embedded method. Default: "RK4"; with adaptive
+        steps "DOP853".
     cspace : {"SE3", "SO3xR3", "reduced"} or dict, optional
         Configuration space. "SE3": screw motions. "SO3xR3": rotation and position decoupled.
         "reduced": the joint's own subgroup of SE(3), without constraints (Müller, eqs. 3a, b),
@@ -158,6 +168,14 @@ def integrate(
     events : Event or iterable of Event, optional
         Events made by `lierb.event`, in addition to the problem's own; see `Result.events`. A
         terminal event ends its trajectory with status "event".
+    with_respect_to : str or iterable of str, optional
+        Parameters by which the run is differentiated, exactly: `Result.sensitivities` and
+        `Result.sensitivity`. Starts: "omega0", "twist0", "pose0", as C exp ε. Numbers of the
+        model: "gravity", "body.mass", "body.com", "body.inertia" (11, 22, 33, 12, 13, 23),
+        "joint.body_point", "joint.ground_point", "joint.pitch", "joint.length", and parameters of
+        forces, functions and states, such as "spring_damper.stiffness". The names of a mechanism
+        begin with the link, the loop or the element's link: "rod.omega0", "rod.body.mass",
+        "rod.joint.body_point", "rod.spring_damper.stiffness". See Notes.
     seed : int, optional
         Seed of `lierb.noise`.
     trajectories : array_like of int, shape (n,), optional
@@ -192,9 +210,18 @@ def integrate(
     StiffStepWarning
         Fixed steps exceed the method's stability bound for the stiffness or damping of a force of
         `lierb.forces`, or stability limits adaptive steps. The run continues.
+    DerivativeWarning
+        A force or function switches by a comparison; its derivatives are right only if it is
+        continuous there.
 
     Notes
     -----
+    Derivatives are those of the method's steps: dual numbers go through the same code, three
+    directions at a time, and values and steps are those of a run without derivatives, to the bit. A
+    direction of a start is projected onto the motions that joints and loops admit, by least kinetic
+    energy, as by `Problem.project`: the derivatives times a change that they admit are its effect.
+    If a joint moves on its bodies, its frames keep their relative motion.
+
     With adaptive steps, the embedded error estimate of a step is in each block at most
     √(atol² + rtol² size²), divided by the method's `ButcherTableau.calibration`. Blocks are
     rotation (of size 1 rad), position, omega, v, and each of the user's states.
@@ -219,8 +246,9 @@ def integrate(
         discontinuities=discontinuities, measure_every=measure_every,
     )  # fmt: skip
     return integrate_model(
-        model, options, pose0, twist0, threads=threads, progress=progress, stacklevel=3
-    )
+        model, options, pose0, twist0, with_respect_to=with_respect_to, threads=threads,
+        progress=progress, stacklevel=3,
+    )  # fmt: skip
 
 
 def checked_model(problem: object) -> Model:
@@ -238,6 +266,7 @@ def integrate_model(
     pose0: Any,
     twist0: Any,
     *,
+    with_respect_to: str | Iterable[str] = (),
     threads: int | None = None,
     progress: Progress = None,
     stacklevel: int = 2,
@@ -248,21 +277,27 @@ def integrate_model(
     """
     model.require_unchanged()
     check_progress(progress)
+    parameters = chosen_parameters(model, with_respect_to)
     prepared = ready(model, options, pose0, twist0)
     require_memory(prepared)
+    if parameters:
+        require_differentiable(prepared, parameters)
+        warn_of_switches(model, stacklevel=stacklevel + 1)
     warn_of_stiff_steps(prepared, stacklevel=stacklevel + 1)
     described = provenance(prepared)
-    check = _start_check(prepared, stacklevel + 3)
+    check = _start_check(prepared, stacklevel + 3 + bool(parameters))
     try:
         if prepared.is_checked and not model.flags_starts:
             error = model.violation(prepared.pose0, prepared.twist0, options.timing.t0)
             _report(error, options, stacklevel + 1)
-        output = engine.integrate(
-            prepared.plan, prepared.inputs, prepared.times, "state" in options.record, threads,
-            progress, check,
-        )  # fmt: skip
+        call = "state" in options.record, threads, progress, check
+        derivatives = None
+        if parameters:
+            output, derivatives = integrate_with_derivatives(prepared, parameters, *call)
+        else:
+            output = engine.integrate(prepared.plan, prepared.inputs, prepared.times, *call)
         warn_of_stiff_run(prepared, output, stacklevel=stacklevel + 1)
-        result = _result(prepared, output, described())
+        result = _result(prepared, output, derivatives, described())
     except MemoryError as error:
         raise no_room(prepared) from error
     if np.count_nonzero(output.status):  # OK is 0; quicker than any()
@@ -297,12 +332,16 @@ def _report(error: ValueError | None, options: Options, stacklevel: int) -> None
     warnings.warn(str(error), InconsistentStateWarning, stacklevel=stacklevel)
 
 
-def _result(prepared: Ready, output: Output, metadata: str) -> Result:
+def _result(
+    prepared: Ready, output: Output, derivatives: Derivatives | None, metadata: str
+) -> Result:
     model, plan = prepared.model, prepared.plan
     record, saves = prepared.options.record, prepared.options.timing.saves
+    history = history_table(output, record, plan, metadata, model) if saves else None
     return Result(
         summary_table(output, metadata, model),
-        history_table(output, record, plan, metadata, model) if saves else None,
+        history,
         End(model, plan, output, STATUS_NAMES, metadata),
         events_table(output, metadata, model) if model.events else None,
+        sensitivities(derivatives, output, model, history, metadata) if derivatives else None,
     )

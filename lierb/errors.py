@@ -15,7 +15,7 @@ __all__ = [
     "LierbError", "ArgumentError", "UnknownNameError", "InertiaError", "ForceError", "PoseError",
     "TwistError", "StudyError", "StudyFileError", "TimeGridError", "MemoryLimitError",
     "InconsistentStateWarning", "FailedTrajectoryWarning", "ScalarFunctionWarning", "StudyWarning",
-    "StiffStepWarning", "LeftOutWarning", "ForkError",
+    "StiffStepWarning", "LeftOutWarning", "DerivativeWarning", "ForkError",
 ]  # fmt: skip
 
 
@@ -103,6 +103,15 @@ class LeftOutWarning(UserWarning):
     def __init__(self, path: object, left_out: Iterable[str]) -> None:
         self.left_out = tuple(left_out)
         super().__init__(f"{brief(path)}: left out are {'; '.join(self.left_out)}")
+
+
+class DerivativeWarning(UserWarning):
+    """A force or function switches, and its derivatives may be wrong.
+
+    Where a force or a rate of a state jumps at a place or speed, the derivatives of the motion jump
+    too. `lierb.integrate` does not add this jump: derivatives are right only if the function is
+    continuous there, such as a spring that is slack on one side, or if no trajectory gets there.
+    """
 
 
 class ForkError(RuntimeError):

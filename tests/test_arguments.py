@@ -198,6 +198,40 @@ def test_body_checks_the_inertia_about_the_centre_of_mass():
         lierb.Body(2.0, np.diag([0.1, 0.1, 0.1]), com=(1.0, 0.0, 0.0))
 
 
+def test_body_takes_inertia_about_the_centre_of_mass():
+    """Right: integrals over six equal masses at ±a e₁, ±b e₂, ±c e₃ around each body's com."""
+    mass = np.array((1.5, 3.0))
+    com, half = np.array([(0.1, -0.2, 0.4), (2.0, 0.0, -1.0)]), np.array((0.1, 0.2, 0.3))
+    points = com[:, None] + np.concatenate([np.diag(half), -np.diag(half)])
+    square = np.einsum("nij,nij->n", points, points)[:, None, None] * np.eye(3)
+    right = mass[:, None, None] / 6.0 * (square - np.einsum("nki,nkj->nij", points, points))
+    moments = mass[:, None] / 3.0 * (half @ half - half * half)
+    body = lierb.Body(mass, moments, com, about="com")
+    np.testing.assert_allclose(body.inertia, right, rtol=0, atol=1e-14)  # rounding of 15 kg m²
+    alone = lierb.Body(mass[1], moments[1], com[1], about="com")
+    np.testing.assert_array_equal(body.of(1).inertia, alone.inertia)
+    # a plate, whose largest moment is the sum of the others, 1000 times its size away: the part
+    # of a batch is checked again, after 1e-10 of that sum has been rounded off
+    plate = lierb.Body(1.0, (1.0, 2.0, 3.0), (0.0, 1000.0, 500.0), about="com")
+    assert plate.of(slice(0, 1)).com.shape == (3,)
+
+
+def test_body_says_where_about_com_would_make_sense():
+    given = {"mass": 2.0, "inertia": (0.1, 0.1, 0.1), "com": (1.0, 0.0, 0.0)}
+    with pytest.raises(InertiaError, match=r'^inertia is not positive .*, give about="com"$'):
+        lierb.Body(**given)
+    lierb.Body(**given, about="com")
+    impossible = {**given, "inertia": (0.1, 0.1, 0.3)}
+    for about in ("origin", "com"):
+        with pytest.raises(InertiaError) as caught:
+            lierb.Body(**impossible, about=about)
+        assert "about=" not in str(caught.value)
+    with pytest.raises(UnknownNameError, match=r"^about='centre' is unknown"):
+        lierb.Body(**given, about="centre")
+    with pytest.raises(InertiaError, match=r"^inertia has no inertia about the origin"):
+        lierb.Body(1e300, (1e-9, 1e-9, 1e-9), com=(1e10, 0.0, 0.0), about="com")
+
+
 @pytest.mark.parametrize(
     ("mass", "inertia"),
     [(1e-308, (1.0, 1.0, 1.0)), (1e-300, (1e10, 1e10, 1e10)), (1.0, (1e308,) * 3)],

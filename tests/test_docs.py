@@ -22,7 +22,14 @@ PAGES = [
     *sorted(page for page in (ROOT / "docs").rglob("*.md") if not page.is_relative_to(BUILT)),
     *(ROOT / name for name in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md", "bench/README.md")),
 ]
-KERNELS = ("forces", "theory", "events", "control", "output")  # have some of their own
+KERNELS = (
+    "forces",
+    "theory",
+    "events",
+    "control",
+    "output",
+    "derivatives",
+)  # have some of their own
 QUICK = [page for page in PAGES if page.stem not in KERNELS]
 
 SPAN = re.compile(r"`([^`\n]+)`")

@@ -133,6 +133,14 @@ def test_bricard_ends_where_its_benchmark_does():
         )
 
 
+@pytest.mark.long
+def test_windows_are_a_pendulum():
+    """Of the closed form, at 201 times in 20 s: `test_looped_constraints` says why not less."""
+    script = example("windows")
+    assert script["off"] < 1e-8
+    assert script["opened"] < 1e-12
+
+
 def _states(kept) -> list[list[float]]:
     return [[float(x) for x in row] for row in kept["y"]]
 

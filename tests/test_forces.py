@@ -769,7 +769,7 @@ def test_motor_force_accelerates_evenly(joints_with_forces):
             ),
             ForceError, "motor acts along .* a pin_in_slot_body joint does not",
         ),
-        (lambda: lierb.forces.motor(1.0, force=1.0), ArgumentError, "torque= or speed= or force="),
+        (lambda: lierb.forces.motor(1.0, force=1.0), ArgumentError, "or position= or force="),
     ],
 )  # fmt: skip
 def test_bad_joint_force_is_named(make, error, message):
@@ -790,25 +790,35 @@ SLIDES = {
 ABOUT_THE_AXIS = {
     "torque": lambda: lierb.forces.motor(1.0),
     "torque of time": lambda: lierb.forces.motor(lambda t: math.sin(t)),
-    "speed": lambda: lierb.forces.motor(speed=1.0),
-    "speed of time": lambda: lierb.forces.motor(speed=lambda t: math.sin(t)),
+    "speed": lambda: lierb.forces.motor(speed=1.0, coordinate="turn"),
+    "position of time": lambda: lierb.forces.motor(position=lambda t: t, coordinate="turn"),
     "spring": lambda: lierb.forces.torsional_spring(stiffness=1.0),
     "friction": lambda: lierb.forces.joint_friction(viscous=1.0),
     "limit": lambda: lierb.forces.joint_limit(lower=-1.0, upper=1.0, stiffness=10.0),
 }
 ALONG_THE_AXIS = {
     "force": lambda: lierb.forces.motor(force=1.0),
+    "speed": lambda: lierb.forces.motor(speed=1.0, coordinate="slide"),
+    "position of time": lambda: lierb.forces.motor(position=lambda t: t, coordinate="slide"),
     "spring": lambda: lierb.forces.slide_spring(stiffness=1.0),
     "friction": lambda: lierb.forces.slide_friction(viscous=1.0),
     "limit": lambda: lierb.forces.slide_limit(lower=-1.0, upper=1.0, stiffness=10.0),
+}
+EITHER = {
+    "speed": lambda: lierb.forces.motor(speed=1.0),
+    "position": lambda: lierb.forces.motor(position=lambda t: math.sin(t)),
 }
 
 
 @pytest.mark.parametrize("name", lierb.joints.JOINTS)
 @pytest.mark.parametrize(
     ("elements", "fitting", "way"),
-    [(ABOUT_THE_AXIS, TURNS, "about"), (ALONG_THE_AXIS, SLIDES, "along")],
-    ids=["about", "along"],
+    [
+        (ABOUT_THE_AXIS, TURNS, "about"),
+        (ALONG_THE_AXIS, SLIDES, "along"),
+        (EITHER, TURNS | SLIDES, "about"),
+    ],
+    ids=["about", "along", "either"],
 )
 def test_elements_at_a_joint_are_refused_where_they_cannot_act(name, elements, fitting, way):
     held = joint(name)
@@ -835,7 +845,7 @@ def test_elements_at_a_joint_are_refused_where_they_cannot_act(name, elements, f
 @pytest.mark.parametrize("hold", ["Omega3", "Q12", "Q21", "Q11", "cv"])
 def test_a_joint_made_of_rows_may_hold_its_axis(hold):
     """A screw that may not turn does not slide, and one that may not slide does not turn."""
-    motors = lierb.forces.motor(speed=1.0), lierb.forces.motor(force=1.0)
+    motors = lierb.forces.motor(speed=1.0, coordinate="turn"), lierb.forces.motor(force=1.0)
     held = lierb.joints.from_rows(["d1", "d2", "Omega1", "Omega2", hold])
     stuck = lierb.joints.from_rows(["d1", "d2", "screw", "Omega1", "Omega2", hold], pitch=0.1)
     flat = lierb.joints.from_rows(["d3", "screw", "Omega1", "Omega2"], pitch=0.1)

@@ -688,7 +688,10 @@ LEFT_OUT = {
         "", '<option integrator="implicitfast" timestep="0.001" cone="elliptic"/>',
         "options of MuJoCo's own solver: cone, integrator, timestep",
     ),
-    "equality": ("", '<equality><joint joint1="knee"/></equality>', "equality 0: equality/joint"),
+    "equality": (
+        "", '<equality><joint joint1="knee" active="false"/></equality>',
+        "equality 0: an equality that is not active",
+    ),
     "armature": ('armature="0.1"', "", "joint knee: armature 0.1"),
     "friction": ('class="stiff"', "", "joint knee: friction 0.3"),
 }  # fmt: skip
@@ -736,12 +739,12 @@ def test_what_is_left_out_is_said_once(tmp_path):
         '<joint name="knee" range="-1 1" limited="true" frictionloss="0.1" armature="0.01"/>',
         inside='<geom size="0.1"/>',
         outside='<actuator><motor joint="knee"/></actuator>'
-        '<equality><joint joint1="knee"/></equality>',
+        '<equality><joint joint1="knee" active="false"/></equality>',
     )
     _, left_out = read(path)
     assert left_out == (
         "joint knee: limits -1 … 1", "joint knee: friction 0.1", "joint knee: armature 0.01",
-        "equality 0: equality/joint", "1 geoms that collide", "1 actuators",
+        "equality 0: an equality that is not active", "1 geoms that collide", "1 actuators",
     )  # fmt: skip
     with pytest.warns(LeftOutWarning, match="left out are joint knee: limits -1 … 1; joint knee"):
         lierb.Mechanism.from_mjcf(path)

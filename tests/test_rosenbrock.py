@@ -20,7 +20,9 @@ from lierb.kernels.stepping.method_of import method_of
 from lierb.kernels.systems.unknowns import Unknowns
 from lierb.methods import METHODS, RosenbrockTableau
 
-ROSENBROCK = {name: method for name, method in METHODS.items() if not method.is_explicit}
+ROSENBROCK = {
+    name: method for name, method in METHODS.items() if isinstance(method, RosenbrockTableau)
+}
 EVERY = pytest.mark.parametrize("method", ROSENBROCK.values(), ids=ROSENBROCK)
 PAIRS = {name: method for name, method in ROSENBROCK.items() if method.error}
 DENSE = {name: method for name, method in ROSENBROCK.items() if method.dense}

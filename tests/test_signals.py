@@ -241,7 +241,7 @@ def evaluate(system, body, numbers):
     state = system.start(body, system.placed(body, numbers), numbers)
     seen = system.motion(body, state, time)
     found = [system.observed(body, seen, time), system.events(body, seen, time)]
-    found += [system.state_rates(body, seen, time), system.initial_states(body)]
+    found += [system.state_rates(body, seen, time), system.initial_states(body, state)]
     found += [system.initial_memory(body), system.periods(body)]
     found += [
         x for i in (0, 1) for x in system.controlled(body, seen, time, i, Noise(1.0, 2.0, 3.0))

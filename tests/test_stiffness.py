@@ -13,9 +13,10 @@ import lierb
 from lierb.errors import StiffStepWarning
 from lierb.kernels.mechanics.newton_euler import Frames, Motion
 from lierb.kernels.numbers.vec import IDENTITY, ZERO3
+from lierb.methods import METHODS
 from lierb.model.forces import FORCE_UNITS
 from lierb.runs.options import Options
-from lierb.runs.stiffness import amplification, stiff_steps
+from lierb.runs.stiffness import stiff_steps
 from lierb.studies.execution.stiff_steps import stiff_settings
 
 # Hairer and Wanner, Solving Ordinary Differential Equations II, IV.2: methods of p stages and order
@@ -60,20 +61,20 @@ def test_amplification_is_that_of_the_tableau(name):
     for each in z:
         expected = 1.0 + each * np.array(tableau.b) @ np.linalg.solve(np.eye(s) - each * a, [1] * s)
         # products of entries of A, which are up to 208
-        assert abs(amplification(tableau, np.array(each)) - expected) < 1e-10 * (1 + abs(expected))
+        assert abs(tableau.amplification(np.array(each)) - expected) < 1e-10 * (1 + abs(expected))
 
 
 @pytest.mark.parametrize(("name", "bound"), REAL.items())
 def test_amplification_is_one_at_published_real_bounds(name, bound):
     # the bounds have 14 digits
-    assert abs(amplification(lierb.TABLEAUS[name], np.array(-bound + 0j))) == pytest.approx(
+    assert abs(lierb.TABLEAUS[name].amplification(np.array(-bound + 0j))) == pytest.approx(
         1.0, abs=1e-12
     )
 
 
 @pytest.mark.parametrize(("name", "bound"), IMAGINARY.items())
 def test_amplification_is_one_at_published_imaginary_bounds(name, bound):
-    assert abs(amplification(lierb.TABLEAUS[name], np.array(1j * bound))) == pytest.approx(
+    assert abs(lierb.TABLEAUS[name].amplification(np.array(1j * bound))) == pytest.approx(
         1.0, abs=1e-12
     )
 
@@ -89,6 +90,28 @@ def test_viscous_friction_warns_beyond_each_methods_bound(name):
     assert f"stability bound of {name} for joint_friction:" in message
     # two digits, rounded down, and a mode may still double in the run
     assert DT / (1.0 + NEAR) * 0.99 <= stable_dt(message) <= DT
+
+
+@pytest.mark.parametrize("name", ["Verlet", "RATTLie"])
+def test_variational_methods_are_stable_to_a_step_of_2_over_omega(name):
+    growth = METHODS[name].amplification
+    # below the bound both eigenvalues are on the unit circle; beyond, r² − (2 − x²) r + 1 = 0
+    np.testing.assert_allclose(growth(1j * np.array([0.1, 1.0, 1.99])), 1.0, atol=1e-14)
+    expected = np.abs(np.roots([1.0, 2.1**2 - 2.0, 1.0])).max()
+    assert growth(np.array(2.1j)) == pytest.approx(expected, rel=1e-12)
+    # of second order in the damping, too
+    errors = [growth(h * (-0.1 + 1.0j)) - np.exp(-0.1 * h) for h in np.array([0.2, 0.1])]
+    assert 6.0 < abs(errors[0] / errors[1]) < 10.0
+
+
+def test_verlet_warns_beyond_its_bound():
+    spring = lierb.forces.torsional_spring(stiffness=1e4 * ABOUT)  # ω = 100 rad/s
+    problem = lierb.Problem(BODY, HINGE, forces=[spring])
+    twist0 = HINGE.twist(omega=(0.0, 0.0, 1.0))
+    message = warned(problem, twist0, dt=0.021, method="Verlet")
+    assert stable_dt(message) == pytest.approx(0.02, rel=0.01)
+    assert not warned(problem, twist0, dt=0.0199, method="Verlet")
+    assert not warned(problem, twist0, dt=0.1, method="alpha3")  # unconditionally stable
 
 
 # ---- every force -------------------------------------------------------------------------------

@@ -308,6 +308,22 @@ def test_three_bodies_of_a_study_may_have_one_inertia_matrix(key):
     assert problem.batch_size() == 3
 
 
+@pytest.mark.parametrize("key", ["inertia", "second_moments"])
+def test_a_study_may_give_inertia_about_the_centre_of_mass(key):
+    given = [1.0, 1.1, 1.2] if key == "inertia" else [0.65, 0.55, 0.45]
+    centres = {"distribution": "uniform", "low": [0.0, 0.0, 0.1], "high": [0.0, 0.0, 0.9]}
+    problem, *_ = started(
+        "free", {}, body={"mass": 2.0, key: given, "about": "com"},
+        sample={"n": 4, "body": {"com": centres}},
+    )  # fmt: skip
+    z = problem.body.com[:, 2]
+    right = np.array([1.0, 1.1, 1.2]) + 2.0 * z[:, None] ** 2 * (1.0, 1.0, 0.0)
+    moments = np.diagonal(problem.body.inertia, axis1=1, axis2=2)
+    np.testing.assert_allclose(moments, right, rtol=1e-15)
+    with pytest.raises(StudyError, match=r"body\.about: unknown key"):
+        started("free", {}, body={"solid": "sphere", "radius": 1.0, "mass": 1.0, "about": "com"})
+
+
 @pytest.mark.parametrize(
     ("rotation", "told"),
     [
@@ -546,7 +562,8 @@ def test_whatever_can_be_sampled_has_a_unit():
     for name, units in lierb.forces.FORCE_UNITS.items():
         force = getattr(lierb.forces, name)
         parameters = inspect.signature(force).parameters.values()
-        names = {p.name for p in parameters if p.kind is not p.VAR_KEYWORD} - {"frame"}
+        names = {p.name for p in parameters if p.kind is not p.VAR_KEYWORD}
+        names -= {"frame", "coordinate", "coordinates", "turns"}
         assert set(units) == names
         listed = entries(sections(force.__doc__)["Parameters"])
         for parameter in names:  # as the function's own text has it: "Stiffness, N/m."

@@ -1,1 +1,1 @@
-"""Predictions, completion groups, orders of convergence, comparisons, the paper's section 5."""
+"""Predict and compare methods: completion groups, orders of convergence, the paper's section 5."""

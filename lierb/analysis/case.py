@@ -1,4 +1,4 @@
-"""Case of a comparison: a model, its start, and the options common to all runs."""
+"""The case of a comparison is a model, its start, and the options common to all runs."""
 
 from __future__ import annotations
 

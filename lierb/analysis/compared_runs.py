@@ -1,4 +1,4 @@
-"""Runs of a comparison: methods on c-spaces at steps or tolerances, and their rows of the table."""
+"""Run a comparison: methods on c-spaces at steps or tolerances, and their rows of the table."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from lierb.analysis.comparison_tables import QUANTITIES
 from lierb.analysis.magnitudes import kinds_of
 from lierb.analysis.reference import MARGIN, Ends, Reference, normed, rounding
 from lierb.errors import ArgumentError
-from lierb.methods import Method
+from lierb.methods.method import Method, StagedMethod
 from lierb.model.base import Model
 from lierb.model.formulation import CSpace, described_cspace
 from lierb.results.columns import as_array
@@ -30,7 +30,7 @@ DRIFTS = {"position": "position_error", "rotation": "rotation_error", "energy": 
 
 @dataclass(frozen=True)
 class Run:
-    """A method on a c-space, at a step, s, or a tolerance."""
+    """A run is a method on a c-space, at a step, s, or a tolerance."""
 
     method: Method
     cspace: CSpace
@@ -136,10 +136,12 @@ def _or_none(number: float) -> float | None:
 def _evaluations(method: Method, is_adaptive: bool, steps: float) -> float:
     """Return the number of right-hand sides.
 
-    Fixed steps omit the stages that only the error estimate uses. Adaptive steps need all stages,
-    and two evaluations to choose the first step.
+    It is NaN for a method whose iteration evaluates them. Fixed steps omit the stages that only
+    the error estimate uses. Adaptive steps need all stages, and two evaluations to choose the first
+    step.
     """
     if is_adaptive:
+        assert isinstance(method, StagedMethod)
         return method.stages * steps + 2.0
     return method.evaluations * steps
 

@@ -1,4 +1,4 @@
-"""`convergence`: comparison of methods on c-spaces, over steps or tolerances."""
+"""`convergence` compares methods on c-spaces, over steps or tolerances."""
 
 from __future__ import annotations
 

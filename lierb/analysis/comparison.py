@@ -1,4 +1,4 @@
-"""Comparison of methods: table of the runs, observed orders, and their files."""
+"""A comparison of methods has a table of the runs, observed orders, and their files."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ NAME = "comparison"  # name of the files
 
 @dataclass(frozen=True, repr=False)
 class Comparison(Represented):
-    """Comparison of methods, c-spaces and steps, returned by `lierb.convergence`.
+    """`lierb.convergence` returns a comparison of methods, c-spaces and steps.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""Figures of a comparison: work-precision diagrams, errors and drifts over the step."""
+"""Plot a comparison: work-precision diagrams, errors and drifts over the step."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ NO_RUN = "nothing to draw: no run got to its end"
 
 @dataclass(frozen=True)
 class Line:
-    """Runs of a method on a c-space, from the coarsest to the finest.
+    """A line has the runs of a method on a c-space, from the coarsest to the finest.
 
     order : order of the method, if it is known and the steps are fixed.
     """

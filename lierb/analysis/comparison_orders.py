@@ -1,4 +1,4 @@
-"""Observed orders of a comparison of methods."""
+"""Compute the observed orders of a comparison of methods."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ FLOOR = ".floor"  # suffix of a column with the smallest error that exceeds roun
 
 @dataclass(frozen=True)
 class Observed:
-    """Observed order of a quantity, for a method on a c-space.
+    """Hold the observed order of a quantity, for a method on a c-space.
 
     Attributes
     ----------
@@ -49,7 +49,7 @@ class Observed:
 
     @property
     def text(self) -> str:
-        """Order and number of fitted runs, such as `3.99 (4 of 5)`."""
+        """Return the order and the number of fitted runs, such as `3.99 (4 of 5)`."""
         if self.order is None:
             return EXACT if self.quantity.startswith("drift.") else "–"
         if self.order.lower_bound:

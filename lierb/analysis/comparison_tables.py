@@ -1,4 +1,4 @@
-"""Tables of a comparison as text: headers and cells, Markdown and LaTeX."""
+"""Format tables of a comparison as text: headers and cells, Markdown and LaTeX."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Completion group of a mechanism in a c-space, generated from a walk over its configurations.
+"""A walk over a mechanism's configurations generates its completion group in a c-space.
 
 A Runge–Kutta method multiplies C₀ by exponentials of velocities that satisfy the rows at its
 stages, and of their brackets. Rows that drift move the stages off the constraint set, but not out
@@ -20,7 +20,7 @@ from lierb.analysis.completion_space import Configurations, Place, RowValues, Sp
 from lierb.analysis.hull import hull
 from lierb.kernels.mechanics.scale import ROUNDING, START_TOLERANCE
 from lierb.model.mechanism.closing import DAMPING
-from lierb.model.mechanism.row_system import Decomposed
+from lierb.model.mechanism.decomposition import Decomposed
 from lierb.support.arrays import Array, Pose
 
 Mask = Any  # array of bool
@@ -54,7 +54,7 @@ class SingularError(ValueError):
 
 
 class Completion:
-    """Completion group K, and the rows that are constant on C₀K.
+    """Hold the completion group K, and the rows that are constant on C₀K.
 
     algebra : (k, 6 nodes), orthonormal basis of K's algebra.   exact : (rows,), bool.
     """
@@ -192,10 +192,16 @@ class Completion:
         return basis
 
     def _kept(self) -> Mask:
-        """Return a mask of the rows that are constant on a random sample of C₀K."""
+        """Return a mask of the rows that are constant on a random sample of C₀K.
+
+        A row on velocities is kept if J is constant, since J V̇ = 0 is then linear.
+        """
         rows = self.space.at(self._anywhere(self.algebra, 3 * BATCH))
         allowed = CONSTANT * (1.0 + rows.far) + self.rounding + self.left
-        return np.all(np.abs(rows.values) <= allowed, axis=0)
+        jacobians = rows.gradients * rows.lengths[..., None]
+        change = np.abs(jacobians - jacobians[:1]).max(axis=-1, initial=0.0)
+        on_pose = np.array([r.is_holonomic for r in self.space.rows], dtype=bool)
+        return np.all(np.where(on_pose, np.abs(rows.values), change) <= allowed, axis=0)
 
 
 def _reliable(solutions: list[Array], margins: Array) -> list[Array]:
@@ -262,13 +268,16 @@ def _pure_translations(algebra: Array) -> Array:
 
 
 def _drift(algebra: Array, shifts: Array) -> float:
-    """Largest translation that accompanies a rotation of the algebra, modulo pure translations."""
+    """Return the largest translation that accompanies a rotation of the algebra.
+
+    The translation is modulo pure translations.
+    """
     rest = algebra[:, 3:] - algebra[:, 3:] @ shifts.T @ shifts
     return float(np.abs(rest).max(initial=0.0))
 
 
 def _pitch(algebra: Array, axis: Array) -> float:
-    """Pitch v·e/ω·e of the rotations about the axis e, ℓ/rad."""
+    """Return the pitch v·e/ω·e of the rotations about the axis e, ℓ/rad."""
     rates = algebra[:, :3] @ axis
     best = int(np.abs(rates).argmax())
     return float(algebra[best, 3:] @ axis / rates[best])

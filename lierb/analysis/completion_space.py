@@ -1,4 +1,4 @@
-"""C-space of a mechanism for `lierb.analysis.completion`: configurations, rows, Jacobians.
+"""`lierb.analysis.completion` takes a mechanism's c-space as configurations, rows, Jacobians.
 
 A configuration has a pose for each node of the integrated tree, and the group is the direct product
 of the nodes' groups. The pose of an absolute node is that of its link's joint frame in a common
@@ -17,14 +17,14 @@ import numpy as np
 
 from lierb.kernels.groups import se3, so3xr3
 from lierb.kernels.mechanics.constraints import residuals
-from lierb.kernels.mechanics.newton_euler import SE3, BodyConstants
-from lierb.kernels.mechanics.rows import PITCHED, Rows
+from lierb.kernels.mechanics.newton_euler import SE3, BodyConstants, Kinematics
+from lierb.kernels.mechanics.rows import PITCHED, Row, Rows
 from lierb.kernels.mechanics.scale import ROUNDING, bearings, length_of, rounding_of
 from lierb.kernels.mechanics.tree import GROUND, HERE, MASSLESS, Node
 from lierb.kernels.numbers.arithmetic import plain
 from lierb.kernels.numbers.vec import ZERO6, Vec, add, cross_add, mat_t_vec, mat_vec_add, norm, sub
 from lierb.kernels.systems.plan import UNSTABILISED
-from lierb.kernels.systems.scheme import Scheme
+from lierb.kernels.systems.scheme import StagedScheme
 from lierb.model.connections import Connection
 from lierb.model.joints.coordinates import motions_of
 from lierb.model.mechanism.plan import mechanism_plan_of
@@ -39,7 +39,11 @@ GROUPS: dict[str, ModuleType] = {"reduced": se3, "SE3": se3, "SO3xR3": so3xr3}
 
 
 class Place(NamedTuple):
-    """Rows between two nodes.   inner, outer : joint frames in the frames of `body`, `parent`."""
+    """A place has the rows between two nodes.
+
+    inner, outer : joint frames in the frames of `body`, `parent`.
+    second : second joint of rows that couple two.
+    """
 
     at: Connection
     body: int
@@ -48,12 +52,14 @@ class Place(NamedTuple):
     outer: Pose
     constants: BodyConstants
     rows: Rows
+    second: Place | None = None
 
 
 class RowValues(NamedTuple):
-    """Values and gradients of all rows at n configurations, in units of the mechanism's length.
+    """All rows have values and gradients at n configurations, in units of the mechanism's length.
 
-    values : h, (n, rows).   gradients : (n, rows, freedoms), divided by `lengths`.
+    values : h, (n, rows), zero for rows on velocities.
+    gradients : (n, rows, freedoms), divided by `lengths`.
     lengths : (n, rows), of the rows' Jacobians with respect to D.   far : ‖d‖, (n, rows).
     upright : (n, places), False for a joint rotated by half a turn, where the rows vanish as well.
     """
@@ -66,9 +72,9 @@ class RowValues(NamedTuple):
 
 
 class Space:
-    """C-space of a mechanism, with lengths in units of the mechanism's length.
+    """The lengths of a mechanism's c-space are in units of the mechanism's length.
 
-    length : m.   rows : holonomic rows of all places.
+    length : m.   rows : rows of all places, without those of motors.
     """
 
     def __init__(self, mechanism: Mechanism, cspace: str) -> None:
@@ -79,7 +85,7 @@ class Space:
             cspaces,
             UNSTABILISED,
             update="local",
-            method=Scheme(stages=((),), weights=(1.0,)),
+            method=StagedScheme(stages=((),), weights=(1.0,)),
             multipliers=False,
         ).tree
         self.nodes = {node.link: i for i, node in enumerate(self.tree) if node.link != MASSLESS}
@@ -103,7 +109,7 @@ class Space:
     # ---- constants -----------------------------------------------------------------------------
 
     def _length(self) -> float:
-        """Largest length of a link, m, including the arms from its centre of mass to its joints."""
+        """Return the largest length of a link, m, with arms from centre of mass to joints."""
         mechanism = self.mechanism
         lengths = [length_of(mechanism.parameters(at)) for at in mechanism.joints]
         for at in mechanism.joints:
@@ -138,12 +144,18 @@ class Space:
         if at.joint is not None:
             frames = pose_components(at.joint.body_frame), pose_components(at.joint.ground_frame)
         inner, outer = self._outer(at.body, frames[0]), self._outer(at.parent, frames[1])
-        rows = tuple(r for r in at.rows if r.is_holonomic)
+        rows = tuple(r for r in at.rows if not r.depends_on_time)
         nodes = self.nodes[at.body], self.nodes[at.parent]
-        return Place(at, *nodes, inner, outer, self.mechanism.constants(at), rows)
+        second = None
+        if at.second >= 0:
+            joint = self.mechanism.joints[at.second]
+            second = self._place(joint._replace(rows=(), elements=at.elements))
+        return Place(at, *nodes, inner, outer, self.mechanism.constants(at), rows, second)
 
     def path(self, place: Place) -> list[int]:
         """Return the nodes that the rows depend on."""
+        if place.second is not None:
+            return sorted({*self.path(place._replace(second=None)), *self.path(place.second)})
         if self.cspace != "reduced":
             return sorted(i for i in (place.body, place.parent) if i != GROUND)
         above = [set(self._above(i)) for i in (place.body, place.parent)]
@@ -253,13 +265,19 @@ class Space:
             x = SE3.kinematics(place.constants, relative, ZERO6)
             for bearing in bearings(place.rows, relative[0]):
                 upright[:, number] &= np.ravel(bearing > 0.0)
-            twists, away = assembled(moving), plain(norm(relative[1]))
-            for r, h in zip(place.rows, residuals(place.rows, x, place.constants), strict=True):
-                row = assembled(r.jacobian(x, place.constants))
-                size = np.sqrt(np.sum((row * self.units) ** 2, axis=-1))
-                size = np.where(size == 0.0, 1.0, size)
-                gradients.append(np.sum(twists * row, axis=-1) / size)
-                values.append(h)
+            away = plain(norm(relative[1]))
+            posed = tuple(r for r in place.rows if r.is_holonomic)
+            of_pose = dict(zip(posed, residuals(posed, x, place.constants), strict=True))
+            for r in place.rows:
+                gradient, size = self._gradient(place, r, x, moving)
+                if place.second is not None and r.second is not None:
+                    other, carried = self._between(place.second, motions)
+                    at_second = SE3.kinematics(place.second.constants, other, ZERO6)
+                    gradient = (
+                        gradient + self._gradient(place.second, r.second, at_second, carried)[0]
+                    )
+                gradients.append(gradient / size)
+                values.append(of_pose.get(r, 0.0))
                 lengths.append(size)
                 far.append(away)
         return RowValues(
@@ -270,6 +288,12 @@ class Space:
             upright,
         )
 
+    def _gradient(self, place: Place, r: Row, x: Kinematics, moving: Vec) -> tuple[Array, Array]:
+        """J of a row by unit velocities, and its length.   moving : twists by unit velocities."""
+        row = assembled(r.jacobian(x, place.constants))
+        size = np.sqrt(np.sum((row * self.units) ** 2, axis=-1))
+        return np.sum(assembled(moving) * row, axis=-1), np.where(size == 0.0, 1.0, size)
+
     def _columns(self, n: int, of_rows: list[Any], *shape: int) -> Array:
         """Stack the rows' numbers, batched or not, to (n, rows) or (n, shape, rows)."""
         stacked = np.zeros((n, *(shape or (1,)), len(of_rows)))
@@ -278,7 +302,7 @@ class Space:
         return stacked if shape else stacked[:, 0]
 
     def rounding(self, poses: list[Pose]) -> Array:
-        """Bounds of the rows' rounding errors, (rows,), which grow with the distance of the links.
+        """Return bounds of rows' rounding errors, (rows,), which grow with the links' distance.
 
         For rows of joints, these bounds matter only in redundant loops.
         """

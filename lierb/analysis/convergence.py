@@ -1,4 +1,4 @@
-"""Order of convergence observed from errors at several steps, and a verdict on it."""
+"""Determine the order of convergence from errors at several steps, and give a verdict on it."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ FAILED = "failed"  # not a number: the integration broke down
 
 @dataclass(frozen=True)
 class Order:
-    """Slope of log(error) over log(dt); NaN where the errors show no order.
+    """The order is the slope of log(error) over log(dt); NaN where the errors show no order.
 
     `lower_bound`: True if the finer of the two errors is rounding, so that the true slope is at
     least this one.
@@ -54,7 +54,7 @@ class Order:
 
     @property
     def is_asymptotic(self) -> bool:
-        """True if two neighbouring pairs of steps show this order."""
+        """Return whether two neighbouring pairs of steps show this order."""
         return len(self.steps) > 2 and not self.lower_bound
 
     def __str__(self) -> str:
@@ -69,7 +69,7 @@ def observed_order(
     size: float | Sequence[float] = 1.0,
     floor: Sequence[float] | None = None,
 ) -> Order | None:
-    """Order of convergence observed in `errors`; None if all errors are rounding.
+    """Return the order of convergence observed in `errors`; None if all errors are rounding.
 
     An error is usable if it is above rounding and below SATURATED times `size`. The order is the
     slope between the two finest steps with usable errors, since coarser steps may not resolve the
@@ -113,7 +113,7 @@ def fitted_order(
     size: float | Sequence[float] = 1.0,
     floor: Sequence[float] | None = None,
 ) -> Order | None:
-    """Order fitted through all errors in the asymptotic range, by least squares.
+    """Fit the order through all errors in the asymptotic range, by least squares.
 
     The range begins with the two finest usable steps. It extends to coarser steps as long as the
     slope to the next step agrees with the slope between those two, to SLOPE_TOLERANCE. With fewer
@@ -179,7 +179,10 @@ def _slope(steps: Array, error: Array, coarse: int, fine: int) -> float:
 
 
 def verdict(errors: Sequence[float], order: Order | None) -> str:
-    """Verdict on `errors`: one word, or "order n".   order : result of `observed_order`."""
+    """Return the verdict on `errors`: one word, or "order n".
+
+    order : result of `observed_order`.
+    """
     if not are_finite(as_floats("errors", errors)):
         return FAILED
     if not isinstance(order, Order | None):

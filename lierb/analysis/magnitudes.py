@@ -1,4 +1,4 @@
-"""Characteristic lengths and energies of a problem: scales of its errors and rounding."""
+"""A problem's characteristic lengths and energies are the scales of its errors and rounding."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def magnitudes(model: Model, poses: Any, twists: Any) -> tuple[Array, Array]:
 def _of_links(
     mechanism: Mechanism, poses: dict[str, Array], twists: dict[str, Array]
 ) -> tuple[Array, Array]:
-    """Largest length of the links, and the sum of their energies without springs."""
+    """Return the largest length of the links, and the sum of their energies without springs."""
     size, total = np.zeros(1), np.zeros(1)
     for link, at in zip(mechanism.links, mechanism.joints, strict=False):
         pose, twist, body = poses[link.name], twists[link.name], link.body

@@ -1,4 +1,4 @@
-"""Reproduction of section 5 of Müller's paper (`lierb.analysis.paper_examples`)."""
+"""Reproduce section 5 of Müller's paper (`lierb.analysis.paper_examples`)."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ ROWS_PER_HISTORY = 1000
 
 @dataclass(frozen=True)
 class Finding:
-    """Errors of one kind, of one example in one c-space, with the paper's claim."""
+    """A finding has errors of one kind, of one example in one c-space, with the paper's claim."""
 
     example: Example
     cspace: str

@@ -1,4 +1,4 @@
-"""Examples of section 5 of Müller's paper, as data.
+"""The examples of section 5 of Müller's paper are given as data.
 
 A. Müller, "A note on the motion representation and configuration update in time stepping schemes
 for the constrained rigid body", BIT Numerical Mathematics 56 (2016), 995-1015.
@@ -29,7 +29,7 @@ AS_STATED = "as stated"  # reading of an example that needs no interpretation
 
 @dataclass(frozen=True)
 class Claim:
-    """Claim of the paper about the errors in one c-space: "exact", "order 4", or None."""
+    """The paper's claim about the errors in one c-space is "exact", "order 4", or None."""
 
     position: str | None
     rotation: str | None = None
@@ -37,7 +37,7 @@ class Claim:
 
 @dataclass(frozen=True)
 class PaperFigure:
-    """Figure of the paper: its number and the error that it shows."""
+    """A figure of the paper has a number and the error that it shows."""
 
     number: int
     quantity: str
@@ -45,7 +45,7 @@ class PaperFigure:
 
 @dataclass(frozen=True, eq=False)
 class Example:
-    """Example of section 5: a joint, the start of the body, and the paper's claims."""
+    """An example of section 5 has a joint, the start of the body, and the paper's claims."""
 
     key: str
     title: str
@@ -60,12 +60,12 @@ class Example:
 
     @property
     def quantities(self) -> tuple[str, ...]:
-        """Kinds of error that the joint has."""
+        """Return the kinds of error that the joint has."""
         return self.joint().error_kinds
 
 
 def _hook_r23() -> Joint:
-    """Universal joint with R23 = 0: first axis IFR 2, second axis RFR 3 (erratum E11)."""
+    """Return a universal joint with R23 = 0: first axis IFR 2, second axis RFR 3 (erratum E11)."""
     frame = np.eye(4)
     frame[:3, :3] = np.column_stack([(-1.0, 0.0, 0.0), E3, E2])  # e₂ = RFR 3, e₃ = IFR 2
     on_body = frame.copy()

@@ -32,7 +32,7 @@ from lierb.support.arrays import Array, Pose, as_poses, pose_components
 
 @dataclass(frozen=True)
 class Prediction:
-    """Prediction of the rows that the update on one c-space satisfies exactly.
+    """A prediction states the rows that the update on one c-space satisfies exactly.
 
     Attributes
     ----------
@@ -69,7 +69,7 @@ class Prediction:
 
 
 class Predictions(dict[str, Prediction]):
-    """Prediction for each c-space; prints as a table."""
+    """Hold the prediction for each c-space, and print as a table."""
 
     def __str__(self) -> str:
         return _table(HEAD, [_table_row(p) for p in self.values()])
@@ -78,7 +78,7 @@ class Predictions(dict[str, Prediction]):
 
 
 class JointPredictions(dict[str, Prediction]):
-    """Predictions for a mechanism in one c-space, one for each link's joint, loop and constraint.
+    """A mechanism has, in one c-space, one prediction for each link's joint, loop and constraint.
 
     Attributes
     ----------
@@ -111,7 +111,7 @@ class JointPredictions(dict[str, Prediction]):
 
 
 class MechanismPredictions(dict[str, JointPredictions]):
-    """JointPredictions for each c-space; prints as a table, joint by joint."""
+    """Hold the JointPredictions for each c-space, and print as a table, joint by joint."""
 
     def __str__(self) -> str:
         names = list(next(iter(self.values())))
@@ -203,6 +203,9 @@ def predict(
     sampled until its dimension is stable. With update="ambient" it is closed under products of dual
     quaternions, not only under brackets, so that K is larger or equal.
 
+    The prediction is for explicit and Rosenbrock methods, and for Verlet's. RATTLie and the
+    generalised α methods solve for the rows, and satisfy all of them in each step.
+
     Examples
     --------
     >>> import lierb
@@ -291,11 +294,15 @@ def _of_space(space: Space, placed: list[Pose], update: str) -> JointPredictions
     for number, place in enumerate(space.places):
         exact = completion.exact[first : first + len(place.rows)]
         first += len(place.rows)
-        if number >= len(space.mechanism.joints) and not place.rows:
-            continue  # the rows of motors are of velocities
+        driven = tuple(r for r in place.at.rows if r.is_holonomic and r.depends_on_time)
+        rows = (*place.rows, *driven)
+        if number >= len(space.mechanism.joints) and not rows:
+            continue  # the row of a motor's speed is of velocities
+        # the integral of a rate that depends on time has the method's error
+        exact = np.append(exact, [False] * len(driven))
         group, dimension = _projection(space, completion.algebra, space.path(place))
         predictions[_key(place, predictions)] = _prediction(
-            space.cspace, group, dimension, place.rows, exact, _why(space, place, group)
+            space.cspace, group, dimension, rows, exact, _why(space, place, group)
         )
     return JointPredictions(predictions, len(completion.algebra))
 

@@ -1,4 +1,4 @@
-"""Reference of a comparison: states at t_end, and their errors."""
+"""The reference of a comparison is the states at t_end, and their errors."""
 
 from __future__ import annotations
 
@@ -96,7 +96,7 @@ class Ends:
 
     @property
     def poses(self) -> dict[str, Array]:
-        """Poses, (n, 4, 4), by link."""
+        """Return the poses, (n, 4, 4), by link."""
         matrices = {}
         for link, state in self.states.items():
             matrices[link] = np.tile(np.eye(4), (len(state["position"]), 1, 1))
@@ -106,7 +106,7 @@ class Ends:
 
     @property
     def twists(self) -> dict[str, Array]:
-        """Twists, (n, 6), by link."""
+        """Return the twists, (n, 6), by link."""
         return {k: np.hstack((state["omega"], state["v"])) for k, state in self.states.items()}
 
     def errors(self, exact: Ends) -> dict[str, Array]:

@@ -23,12 +23,12 @@ MOST_BODIES = 64  # most bodies that are compared unless --n is given
 
 
 def _words(_ctx: click.Context, _param: click.Parameter, given: tuple[str, ...]) -> list[str]:
-    """Callback of options that take names, one or several with commas."""
+    """Read an option that takes names, one or several with commas."""
     return [word.strip() for each in given for word in each.split(",") if word.strip()]
 
 
 def _numbers(ctx: click.Context, param: click.Parameter, given: tuple[str, ...]) -> list[float]:
-    """Callback of options that take numbers, one or several with commas."""
+    """Read an option that takes numbers, one or several with commas."""
     try:
         return [float(word) for word in _words(ctx, param, given)]
     except ValueError as error:

@@ -1,4 +1,4 @@
-"""Group of all commands, and the commands that are not about studies.
+"""Group all commands, and define those that are not about studies.
 
 Each command imports what it runs inside its function, so that `lierb --help` stays quick.
 """
@@ -31,7 +31,7 @@ NO_CACHE = (
 
 
 class Commands(click.Group):
-    """Group whose commands report an error in one sentence instead of a traceback."""
+    """Commands of the group report an error in one sentence instead of a traceback."""
 
     def invoke(self, ctx: click.Context) -> Any:
         try:
@@ -56,7 +56,7 @@ for command in (*study_cli.COMMANDS, compare):
 
 
 def finite(_ctx: click.Context, _param: click.Parameter, value: float) -> float:
-    """Callback of options that take a finite number."""
+    """Check that an option's number is finite."""
     if not math.isfinite(value):
         raise click.BadParameter(f"{value} is not a finite number")
     return value

@@ -1,4 +1,4 @@
-"""Commands that run studies and show their results."""
+"""These commands run studies and show their results."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ COPIED = "lierb.copied"  # key of a context: True if the study is from a pipe
 
 
 class UserPath(click.Path):
-    """Path whose `~` is expanded, as in `--out=~/top`, where a shell does not."""
+    """The path's `~` is expanded, as in `--out=~/top`, where a shell does not."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         # as text: a Path turns a URL into `s3:/x`, and an empty path into the current folder
@@ -202,7 +202,7 @@ def run(
 
 
 def _to_go_on(study: Path, changes: Changes, out: str | None, folder: Path) -> str:
-    """Command that resumes a run; a study from a pipe is resumed from its folder."""
+    """Return the command that resumes a run; a study from a pipe is resumed from its folder."""
     if click.get_current_context().meta[COPIED]:
         return shlex.join(["lierb", "run", str(folder / FILE), "--out", str(folder), "--resume"])
     options = [word for each in written(changes) for word in ("--set", each)]
@@ -380,7 +380,7 @@ def _end_with_failures(dataset: Dataset) -> None:
 
 
 def _again(dataset: Dataset, *options: str) -> str:
-    """Command that runs the study of a folder into it."""
+    """Return the command that runs the study of a folder into it."""
     study, folder = str(dataset.folder / FILE), str(dataset.folder)
     return shlex.join(["lierb", "run", study, "--out", folder, *options])
 

@@ -26,7 +26,7 @@ MOST_BYTES = 1 << 29  # in one folder, about 2500 kernels; the oldest by use are
 
 
 class DiskCache(NullCache):
-    """Disk cache of a function's compiled code, which replaces Numba's."""
+    """The disk cache of a function's compiled code replaces Numba's."""
 
     def __init__(self, function: Callable[..., Any]) -> None:
         self._function = function
@@ -36,12 +36,12 @@ class DiskCache(NullCache):
 
     @property
     def folders(self) -> list[Path]:
-        """Folders in which code may be, in the order of search."""
+        """Return the folders in which code may be, in the order of search."""
         return sealed.folders_of(self._function)
 
     @property
     def cache_path(self) -> str | None:
-        """Folder that code is written to; None if no folder is writable."""
+        """Return the folder that code is written to; None if no folder is writable."""
         return next((str(each) for each in self.folders if _is_writable(each)), None)
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
@@ -108,7 +108,7 @@ class DiskCache(NullCache):
 
     @property
     def _prefix(self) -> str:
-        """Prefix of the file names of this version of the sources."""
+        """Return the prefix of the file names of this version of the sources."""
         return f"{self._stem}-{source_stamp(self._function.__module__)}-"
 
     def _prune(self, folder: Path) -> None:

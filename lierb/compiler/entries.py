@@ -1,4 +1,4 @@
-"""Calls of compiled code by its address, from @njit code that was compiled earlier."""
+"""Call compiled code by its address, from @njit code that was compiled earlier."""
 
 from __future__ import annotations
 

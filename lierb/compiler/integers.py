@@ -261,7 +261,7 @@ for _integer in types.integer_domain:  # np.int8 … np.uint64, as Numba types
 
 
 def _of_floats(computed: Any) -> Any:
-    """Implementation computed(a, b) for numbers of which at least one is a float."""
+    """Return the implementation computed(a, b) for numbers of which at least one is a float."""
 
     def typed(a, b):
         kinds = types.Float, types.Integer, types.Boolean

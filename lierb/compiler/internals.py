@@ -62,7 +62,7 @@ def tracing_context() -> Any:
 
 
 class _LeanLibrary(JITCodeLibrary):
-    """Library of code that skips the optimisation of single functions."""
+    """A lean library of code skips the optimisation of single functions."""
 
     def _optimize_functions(self, module: Any) -> None:
         module.data_layout = self._codegen._data_layout
@@ -84,7 +84,7 @@ def compile_leanly(dispatcher: Any, operands: tuple[types.Type, ...]) -> Any:
 
 
 def address_of(result: Any) -> int:
-    """Address of a compile result's code, which uses Numba's calling convention."""
+    """Return the address of a compile result's code, which uses Numba's calling convention."""
     return int(result.library.get_pointer_to_function(result.fndesc.llvm_func_name))
 
 
@@ -102,7 +102,7 @@ def release(library: Any) -> None:
 
 
 class _Writer(pickle.Pickler):
-    """Pickler of Numba's intermediate code, which does not copy constants, functions and places.
+    """Pickle Numba's intermediate code without copies of constants, functions and places.
 
     shared : these objects, by the numbers that stand for them.
     """
@@ -136,7 +136,7 @@ class _Reader(pickle.Unpickler):
 
 
 def compiler_that_translates_once(tags: type[types.Type]) -> type[CompilerBase]:
-    """Pipeline class for njit that translates and inlines a function's Python code once.
+    """Return the pipeline class for njit that translates and inlines Python code once.
 
     Numba translates bytecode and inlines callees again for each list of argument types, in a tenth
     of the time to a kernel. The result does not depend on arguments of type `tags`: it is stored in
@@ -207,7 +207,7 @@ def cache_of(dispatcher: Any) -> Any:
 
 
 def machine_of(codegen: Any) -> tuple[Any, ...]:
-    """CPU that code is compiled for, and its enabled features."""
+    """Return the CPU that code is compiled for, and its enabled features."""
     return tuple(codegen.magic_tuple())
 
 

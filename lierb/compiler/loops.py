@@ -1,4 +1,4 @@
-"""Support @njit loops: functions that run compiled or not, and memory at an address."""
+"""Support @njit loops by functions that run compiled or not, and memory at an address."""
 
 from __future__ import annotations
 

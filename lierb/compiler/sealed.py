@@ -27,7 +27,7 @@ DIGEST_SIZE = hashlib.sha256().digest_size
 
 
 def folders_of(function: Callable[..., Any]) -> list[Path]:
-    """Folders in which a function's files may be, in the order of search, as chosen by Numba."""
+    """Return the folders, chosen by Numba, in which a function's files may be, in search order."""
     source = inspect.getfile(function)
     chosen = (
         [UserProvidedCacheLocator]

@@ -1,4 +1,4 @@
-"""Digest of the sources of compiled code, without the parts that do not change code.
+"""Compute the digest of the sources of compiled code, without parts that do not change code.
 
 A kernel's code depends on the module of its function, the modules of its tag's classes, and all
 modules of lierb that these import. The digest covers their syntax trees, without comments,
@@ -74,7 +74,7 @@ def parts(*modules: str) -> dict[str, str]:
 
 
 def _modules_of(name: str) -> list[str]:
-    """Modules that an import of a name runs: the name's module and its parent packages.
+    """Return the modules that an import of a name runs: the name's module and its parent packages.
 
     lierb/__init__.py, which imports all of lierb, counts only if no other module has the name.
     """

@@ -1,4 +1,4 @@
-"""Tags: arguments that are compile-time constants, each with a Numba type of its own."""
+"""Tags are arguments that are compile-time constants, each with a Numba type of its own."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from lierb.compiler.stamp import source_stamp
 
 
 class Tag:
-    """Hashable description for which code is specialised.
+    """A tag is a hashable description for which code is specialised.
 
     The name of a tag's Numba type contains digests of its `repr` and of the package's sources, and
     is part of the key of the disk cache. Hence an edited source, another number of lanes or another
@@ -24,7 +24,7 @@ class Tag:
 
 
 class TagType(types.Type):
-    """Numba type of a tag, stored on the disk by its name alone.
+    """The Numba type of a tag is stored on the disk by its name alone.
 
     A tag may contain a user's functions, whose modules another process may lack.
     """

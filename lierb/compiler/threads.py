@@ -1,4 +1,4 @@
-"""Start of a function call in a new thread."""
+"""Start a function call in a new thread."""
 
 from __future__ import annotations
 

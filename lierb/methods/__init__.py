@@ -1,17 +1,26 @@
-"""Catalogue of methods, each one entry of a module as data."""
+"""Each method of the catalogue is one entry of a module as data."""
 
 from __future__ import annotations
 
 from lierb.errors import UnknownNameError, require_name
-from lierb.methods import classical, commutator_free, dop853, pairs, rosenbrock, verner
+from lierb.methods import (
+    classical,
+    commutator_free,
+    dop853,
+    pairs,
+    rosenbrock,
+    structure_preserving,
+    verner,
+)
 from lierb.methods.checks import MOST_STAGES
 from lierb.methods.method import Method
 from lierb.methods.rosenbrock_tableau import RosenbrockTableau
+from lierb.methods.structure_preserving import generalised_alpha
 from lierb.methods.tableau import ButcherTableau
 
 __all__ = [
     "METHODS", "MOST_STAGES", "TABLEAUS", "ButcherTableau", "Method", "RosenbrockTableau",
-    "method_named",
+    "generalised_alpha", "method_named",
 ]  # fmt: skip
 
 TABLEAUS: dict[str, ButcherTableau] = {
@@ -20,8 +29,9 @@ TABLEAUS: dict[str, ButcherTableau] = {
     for tableau in file.METHODS
 }
 METHODS: dict[str, Method] = {
-    **TABLEAUS, **{tableau.name: tableau for tableau in rosenbrock.METHODS}
-}  # fmt: skip
+    **TABLEAUS,
+    **{each.name: each for file in (rosenbrock, structure_preserving) for each in file.METHODS},
+}
 
 
 # Names in SciPy, MATLAB and Julia's OrdinaryDiffEq of methods that are here, or of their kind.
@@ -30,6 +40,7 @@ ELSEWHERE = {
     "DP8": "DOP853", "dopri5": "DP54", "dop853": "DOP853", "Vern6": "Verner65", "Vern8": "Verner87",
     "Vern9": "Verner98", "Radau": "Rodas4", "BDF": "Rodas4", "LSODA": "Rodas4", "ode15s": "Rodas4",
     "ode23s": "ROS34PW2", "Rosenbrock23": "ROS34PW2", "RKMK4": "RK4",
+    "leapfrog": "Verlet", "VelocityVerlet": "Verlet", "RATTLE": "RATTLie",
 }  # fmt: skip
 
 

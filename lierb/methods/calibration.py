@@ -1,4 +1,4 @@
-"""Calibration of tolerances: ratio of a method's global errors to its error estimates.
+"""Tolerances are calibrated by the ratio of a method's global errors to its error estimates.
 
 A pair estimates the error of one method and steps by the other. Hence one tolerance gives errors
 that differ a hundredfold from pair to pair. The calibration problem is a uniform rotation, ẏ = iy,

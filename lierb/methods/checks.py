@@ -1,4 +1,4 @@
-"""Checks of the coefficients of methods."""
+"""Check the coefficients of methods."""
 
 from __future__ import annotations
 

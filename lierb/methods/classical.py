@@ -1,4 +1,4 @@
-"""Methods without an error estimate, for fixed steps."""
+"""These methods are for fixed steps, as they have no error estimate."""
 
 from lierb.methods.tableau import ButcherTableau
 

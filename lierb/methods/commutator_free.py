@@ -1,4 +1,4 @@
-"""Methods that update the pose by several exponentials in a step, without dexp⁻¹.
+"""Commutator-free methods update the pose by several exponentials in a step, without dexp⁻¹.
 
 A stage multiplies the pose by its exponentials from the right, in the order of their rows, because
 twists are body-fixed: Ċ = C V.

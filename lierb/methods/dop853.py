@@ -1,4 +1,4 @@
-"""DOP853, the pair of order 8 with two error estimators of Hairer, Nørsett and Wanner.
+"""DOP853 is the pair of order 8 with two error estimators of Hairer, Nørsett and Wanner.
 
 The estimated error of a step is e₅²/√(e₅² + 0.01 e₃²), with e₅ and e₃ by the rows of `error`. It
 is proportional to h⁸, like that of an embedded method of order 7. The continuous extension needs f

@@ -1,11 +1,14 @@
-"""The common face of all methods: what a run reads of a method, whatever its family."""
+"""All methods, of any family, have the interface that a run reads."""
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
+
+import numpy as np
 
 from lierb.errors import ArgumentError
 from lierb.kernels.systems.plan import UPDATES
@@ -21,53 +24,55 @@ from lierb.methods.checks import (
 )
 
 Rows = Sequence[Sequence[float]]
+LARGEST = 200.0  # most decimal digits of |hλ|^stages, so that R does not overflow
+
+
+class Limits(NamedTuple):
+    """Limits say to which systems and runs a method is confined: one body, without extra states.
+
+    systems : phrase for messages.   solver : solver of its system.
+    cspaces : configuration spaces.   takes_constraints : True if it satisfies constraints beside
+    those of the joint.   cuts_steps : True if steps may differ in length.
+    """
+
+    systems: str
+    solver: str
+    cspaces: tuple[str, ...]
+    takes_constraints: bool
+    cuts_steps: bool
 
 
 class Method(ABC):
-    """One-step method with stages k_i, which ends a step at y + h Σ b_i k_i.
+    """A one-step method, of any family, has the interface that a run reads.
 
     `lierb.methods.METHODS` has the methods of the catalogue by name.
     """
 
-    A: Rows
-    b: Sequence[float]
     name: str
     order: int | None
     source: str
-    error: Rows | None
-    error_order: int | None
-    dense: Rows | None
-    dense_A: Rows
-    dense_order: int | None
+    error: Rows | None = None
+    error_order: int | None = None
     updates: tuple[str, ...] = UPDATES  # values of `update=` with which the method works
-    is_explicit = True
+    needs_derivatives = False  # of forces and extra states
+    limits: Limits | None = None  # None for a method of all systems
 
     @property
-    def stages(self) -> int:
-        return len(self.b)
+    def evaluations(self) -> float:
+        """Return how many right-hand sides a step without estimate needs; NaN if it varies."""
+        return math.nan
 
     @property
-    def evaluations(self) -> int:
-        """Number of stages of a step without error estimate."""
-        return 1 + max(i for i, weight in enumerate(self.b) if weight)
-
-    @cached_property
     def calibration(self) -> float:
-        """Ratio of the tolerance to the largest estimated error of a step.
-
-        With this ratio, the error of a uniform rotation equals the tolerance after thirty turns.
-        The ratio is at least 10; without `error` it is 1.
-        """
-        if self.error is None or self.error_order is None:
-            return 1.0
-        return calibration_of(self.linear_stages, self.b, self.error, self.error_order)
+        """Return the ratio of the tolerance to the largest estimated error of a step."""
+        return 1.0
 
     @abstractmethod
-    def linear_stages(self, z: Any) -> list[Any]:
-        """h k_i of a step of length h on ẏ = λy from y = 1.   z : hλ, complex."""
+    def amplification(self, z: Any) -> Any:
+        """Return the factor by which a step changes a mode e^(λt).   z : hλ, complex array."""
 
     def scheme(self, is_adaptive: bool, interpolates: bool) -> Scheme:
-        """Coefficients for the kernels, the same object for the same arguments.
+        """Return the coefficients for the kernels, the same object for the same arguments.
 
         is_adaptive : whether steps have an error estimate.
         interpolates : whether states between steps are needed.
@@ -83,7 +88,57 @@ class Method(ABC):
 
     @abstractmethod
     def scheme_of(self, embedded: Embedded | None, extension: Extension | None) -> Scheme:
-        """Coefficients for the kernels, with an error estimate and a continuous extension."""
+        """Return coefficients for the kernels, with an error estimate and continuous extension."""
+
+    def _estimates(
+        self, is_adaptive: bool, interpolates: bool
+    ) -> tuple[Embedded | None, Extension | None]:
+        return None, None
+
+
+class StagedMethod(Method):
+    """A one-step method has stages k_i and ends a step at y + h Σ b_i k_i."""
+
+    A: Rows
+    b: Sequence[float]
+    dense: Rows | None
+    dense_A: Rows
+    dense_order: int | None
+
+    @property
+    def stages(self) -> int:
+        return len(self.b)
+
+    @property
+    def evaluations(self) -> float:
+        """Return the number of stages of a step without error estimate."""
+        return 1 + max(i for i, weight in enumerate(self.b) if weight)
+
+    @cached_property
+    def calibration(self) -> float:
+        """Return the ratio of the tolerance to the largest estimated error of a step.
+
+        With this ratio, the error of a uniform rotation equals the tolerance after thirty turns.
+        The ratio is at least 10; without `error` it is 1.
+        """
+        if self.error is None or self.error_order is None:
+            return 1.0
+        return calibration_of(self.linear_stages, self.b, self.error, self.error_order)
+
+    @abstractmethod
+    def linear_stages(self, z: Any) -> list[Any]:
+        """Return h k_i of a step of length h on ẏ = λy from y = 1.   z : hλ, complex."""
+
+    def amplification(self, z: Any) -> Any:
+        """Return the stability function R(z); of a Runge–Kutta method 1 + z bᵀ(1 − zA)⁻¹(1, …, 1)ᵀ.
+
+        z : hλ, scaled down if R would overflow.
+        Hairer and Wanner, Solving Ordinary Differential Equations II, IV.2.
+        """
+        size, most = np.abs(z), 10.0 ** (LARGEST / self.stages)
+        z = np.where(size > most, z * (most / np.where(size > 0.0, size, 1.0)), z)
+        changes = self.linear_stages(z)
+        return 1.0 + sum(b * change for b, change in zip(self.b, changes, strict=True))
 
     def _estimates(
         self, is_adaptive: bool, interpolates: bool

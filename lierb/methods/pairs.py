@@ -1,4 +1,4 @@
-"""Pairs of low and middle order, with continuous extensions that need no further stages."""
+"""These pairs of low and middle order have continuous extensions without further stages."""
 
 from lierb.methods.tableau import ButcherTableau
 

@@ -1,4 +1,4 @@
-"""Rosenbrock methods for stiff systems; all but ROS3P, which is A-stable, are L-stable.
+"""Rosenbrock methods are for stiff systems; all but ROS3P, which is A-stable, are L-stable.
 
 ROS3P is for fixed steps: the difference to its embedded method vanishes on linear systems, and no
 other weights of its stages have order 2.

@@ -1,4 +1,4 @@
-"""Tableaus of Rosenbrock methods, checked when a tableau is made."""
+"""Tableaus of Rosenbrock methods are checked when a tableau is made."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from numpy.typing import ArrayLike
 from lierb.errors import ArgumentError, brief
 from lierb.kernels.systems.scheme import Embedded, Extension, RosenbrockScheme
 from lierb.methods.checks import MOST_STAGES, require_both, require_order, row_of
-from lierb.methods.method import Method, floats, lower_triangle
+from lierb.methods.method import StagedMethod, floats, lower_triangle
 
 # Sums of coefficients up to 165 with 15 digits.
 _TOLERANCE = 1e-12
 
 
 @dataclass(frozen=True)
-class RosenbrockTableau(Method):
-    """A Rosenbrock method, for stiff systems: linear equations in each step, no iteration.
+class RosenbrockTableau(StagedMethod):
+    """A Rosenbrock method is for stiff systems; a step solves linear equations, without iteration.
 
     With the Jacobian J of f at the start of a step, its stages are (1 − γhJ) k_i = γ (f(t + α_i h,
     y + h Σ_j A_ij k_j) + Σ_j C_ij k_j + γ_i h ∂f/∂t), and y ← y + h Σ b_i k_i. This is the form in
@@ -81,7 +81,7 @@ class RosenbrockTableau(Method):
     dense_order: int | None = None
 
     updates = ("local",)
-    is_explicit = False
+    needs_derivatives = True
     dense_A = ()
 
     @classmethod
@@ -187,7 +187,7 @@ class RosenbrockTableau(Method):
 
     @cached_property
     def nodes(self) -> tuple[float, ...]:
-        """Node α_i of each stage."""
+        """Return the node α_i of each stage."""
         return tuple(
             _exact(sum(a * k for a, k in zip(row, self.constant_stages, strict=False)))
             for row in self.A

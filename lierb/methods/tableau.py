@@ -1,4 +1,4 @@
-"""Butcher tableaus: coefficients of Runge–Kutta methods, checked when a tableau is made."""
+"""Butcher tableaus are coefficients of Runge–Kutta methods, checked when a tableau is made."""
 
 from __future__ import annotations
 
@@ -20,14 +20,16 @@ from lierb.methods.checks import (
     row_of,
     rows_of,
 )
-from lierb.methods.method import Method, floats
+from lierb.methods.method import StagedMethod, floats
 
 __all__ = ["MOST_STAGES", "ButcherTableau"]
 
 
 @dataclass(frozen=True)
-class ButcherTableau(Method):
-    """An explicit Runge–Kutta method: k_i = f(t + c_i h, y + h Σ_j A_ij k_j), y ← y + h Σ b_i k_i.
+class ButcherTableau(StagedMethod):
+    """A Butcher tableau defines an explicit Runge–Kutta method.
+
+    k_i = f(t + c_i h, y + h Σ_j A_ij k_j), y ← y + h Σ b_i k_i.
 
     Parameters
     ----------
@@ -191,7 +193,7 @@ class ButcherTableau(Method):
 
     @property
     def is_fsal(self) -> bool:
-        """True if the last stage is f at the end of the step, hence the next step's first stage."""
+        """Return whether the last stage is f at the step's end, the next step's first stage."""
         return self.stages > 1 and self.b[-1] == 0.0 and self.A[-1] == self.b[:-1]
 
     @property

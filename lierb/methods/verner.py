@@ -1,4 +1,4 @@
-"""Verner's most efficient pairs: Vern6, Vern8 and Vern9 of OrdinaryDiffEq.jl.
+"""Verner's most efficient pairs are Vern6, Vern8 and Vern9 of OrdinaryDiffEq.jl.
 
 Coefficients are fractions where the published fractions are short, and the nearest doubles
 otherwise. The published interpolants need 3, 8 and 10 further stages and are left out. The

@@ -3,11 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from lierb.errors import ArgumentError, ForceError, TwistError, body_label, brief, items_of
+from lierb.errors import (
+    ArgumentError,
+    ForceError,
+    PoseError,
+    TwistError,
+    body_label,
+    brief,
+    items_of,
+)
+from lierb.kernels.functions.function import size_of
+from lierb.kernels.mechanics.elements import TurnCounter
 from lierb.kernels.mechanics.rows import Rows, keeps_axis, slides, turns
 from lierb.kernels.numbers.arithmetic import plain
 from lierb.model.functions.binding import bound, columns_of, require_different_events
@@ -48,6 +59,7 @@ def require(argument: str, value: object, kind: type, expected: str) -> None:
 def _checked(argument: str, given: Any, kind: type[Element], joint: Joint) -> tuple[Element, ...]:
     one, expected = (f"{words} made by lierb" for words in kind.words)
     elements = items_of(argument, given, expected) if isinstance(given, Iterable) else (given,)
+    fitting = []
     for number, element in enumerate(elements):
         label = f"{argument}[{number}]"
         reject_functions(label, element)
@@ -57,8 +69,13 @@ def _checked(argument: str, given: Any, kind: type[Element], joint: Joint) -> tu
                 f"{label} is on {' and '.join(element.at)}; a Problem has one body and no names: "
                 "leave .on(…) out, or make a lierb.Mechanism"
             )
-        require_fit(element, joint)
-    return elements
+        if element.kind.joints > 1:
+            raise ForceError(
+                f"{label}, {element.name}, couples two joints, and a Problem has one; make a "
+                "lierb.Mechanism"
+            )
+        fitting.append(fitted(element, joint))
+    return tuple(fitting)
 
 
 def bind(problem: Any) -> None:
@@ -71,28 +88,56 @@ def bind(problem: Any) -> None:
     parts = bound(*(getattr(problem, label) for label in labels))
     for label, elements in zip(labels, parts, strict=True):
         object.__setattr__(problem, label, elements)
+    forces = tuple(_with_counter(force, problem.states) for force in problem.forces)
+    object.__setattr__(problem, "forces", forces)
     require_different_events(problem.events)
     require_free(problem.observables, columns_of((*problem.states, *problem.controllers)))
 
 
-def require_fit(element: Element, joint: Joint) -> None:
-    """Raise ForceError if the element has changed or cannot act at the joint."""
+def _with_counter(force: Force, states: tuple[ExtraStates, ...]) -> Force:
+    """Return a force that counts turns with the index of its joint's counted angle."""
+    turns = getattr(force.kind, "turns", "")
+    if not turns:
+        return force
+    first = 0
+    for each in states:
+        is_counter = isinstance(each.kind, TurnCounter) and each.name == turns
+        if is_counter and each.at == force.at:
+            return force.of_kind(counter=first)
+        first += size_of(each.columns)
+    where, place = (f" on {force.at[0]!r}", f".on({force.at[0]!r})") if force.at else ("", "")
+    raise ForceError(
+        f"{force.name}{where} counts turns by the state {turns}, which does not count those of its "
+        f"joint; give states=lierb.turns({turns!r}){place}"
+    )
+
+
+def fitted(element: Any, *joints: Joint) -> Any:
+    """Return the element for its joints. Raises ForceError if it has changed or does not fit."""
     element.require_unchanged()
-    if not element.kind.needs_axis:
-        return
-    name = f"{element.name} on {element.at[0]!r}" if element.at else element.name
-    acts = f"{name} acts {'along' if element.kind.needs_slide else 'about'} the joint axis"
+    if element.kind.needs_axis:
+        for number, joint in enumerate(joints):
+            element = replace(element, kind=element.kind.on_joint(joint.rows, number))
+            _require_axis(element, number, joint)
+    return element
+
+
+def _require_axis(element: Element, number: int, joint: Joint) -> None:
+    """Raise ForceError if the joint has not the axis at which the element acts."""
+    name = f"{element.name} on {element.at[number]!r}" if element.at else element.name
+    needs_slide = element.kind.slides_at(number)
+    acts = f"{name} acts {'along' if needs_slide else 'about'} the joint axis"
     if not keeps_axis(joint.rows):
         raise ForceError(
             f"{acts}, which a {joint.name} joint does not keep: its body turns about others too; "
             "take a joint such as revolute, or a constant_wrench or lierb.wrench"
         )
-    if element.kind.needs_slide and not slides(joint.rows):
+    if needs_slide and not slides(joint.rows):
         raise ForceError(
             f"{acts}, along which a {joint.name} joint does not slide; take a joint such as "
             "prismatic, or a torque about the axis"
         )
-    if not element.kind.needs_slide and not turns(joint.rows):
+    if not needs_slide and not turns(joint.rows):
         raise ForceError(
             f"{acts}, about which a {joint.name} joint does not turn; take a joint such as "
             "revolute, or what acts along the axis: motor(force=…), slide_spring, slide_friction "
@@ -107,7 +152,20 @@ def unfit_rate(rows: Rows, rates: Iterable[Any], t0: float) -> TwistError | None
         for body in np.flatnonzero(~np.isfinite(each))[:1]:
             return TwistError(
                 f"{body_label('the speed', int(body), each.size)} that {row} prescribes is "
-                f"{each[body]} rad/s at t0={t0:g} s, and no twist has it; give a function that has "
-                "a value there, or another t0"
+                f"{each[body]} {'m/s' if row.is_translational else 'rad/s'} at t0={t0:g} s, and no "
+                "twist has it; give a function that has a value there, or another t0"
+            )
+    return None
+
+
+def unfit_place(rows: Rows, places: Iterable[Any], t0: float) -> PoseError | None:
+    """Error for the first prescribed position of a motor that is not finite at t0."""
+    for row, place in zip(rows, places, strict=True):
+        each = np.atleast_1d(plain(place))
+        for body in np.flatnonzero(~np.isfinite(each))[:1]:
+            return PoseError(
+                f"{body_label('the position', int(body), each.size)} that {row} prescribes is "
+                f"{each[body]} {'m' if row.is_translational else 'rad'} at t0={t0:g} s, and no "
+                "pose has it; give a function that has a value there, or another t0"
             )
     return None

@@ -18,6 +18,7 @@ class Connection(NamedTuple):
     joint : joint with the two frames; None for an element between the body frames.
     rows : rows of the joint or the element.
     elements : index of the element; empty for a joint.
+    second : index of the second joint whose coordinate the rows couple; NOWHERE for others.
     """
 
     name: str
@@ -26,3 +27,4 @@ class Connection(NamedTuple):
     joint: Joint | None
     rows: Rows = ()
     elements: tuple[int, ...] = ()
+    second: int = NOWHERE

@@ -26,7 +26,7 @@ from lierb.kernels.systems.layout import INPUTS
 from lierb.kernels.systems.plan import Plan
 from lierb.kernels.systems.system_of import plan_of
 from lierb.kernels.tracing.cpu import DEFAULT_LANES
-from lierb.model.acting import _checked, require, unfit_rate
+from lierb.model.acting import _checked, require, unfit_place, unfit_rate
 from lierb.model.base import Model, numbers_of, parameters_of
 from lierb.model.bodies.body import Body
 from lierb.model.connections import NOWHERE, Connection
@@ -76,7 +76,8 @@ class Problem(Model):
     forces : Force or iterable of Force, optional
         Forces made by `lierb.forces` and `lierb.wrench`.
     constraints : Constraint or iterable of Constraint, optional
-        Constraints made by `lierb.constraint`, in addition to the joint.
+        Constraints made by `lierb.constraint` and `lierb.velocity_constraint`, in addition to the
+        joint.
     observables : Observable or iterable of Observable, optional
         Columns of the results, made by `lierb.observable`.
     events : Event or iterable of Event, optional
@@ -255,7 +256,7 @@ class Problem(Model):
         """Return the constants of the body and its elements for the formulas of a c-space."""
         return kinds.body_with(space, self.parameters(), self.kinds, numbers_of(self.elements))
 
-    def close(self, pose: Any) -> Array:
+    def close(self, pose: Any, *, t0: float = 0.0) -> Array:
         """Find a pose near `pose` that closes the joint, by Newton's method on its rows.
 
         Every step is the screw motion X of least XᵀMX, the kinetic-energy metric, that cancels the
@@ -267,6 +268,8 @@ class Problem(Model):
         ----------
         pose : array_like or RigidTransform, shape (4, 4) or (n, 4, 4)
             Pose near the joint.
+        t0 : float, optional
+            Time at which the position of a motor is evaluated, s.
 
         Returns
         -------
@@ -288,13 +291,14 @@ class Problem(Model):
         >>> hinge.coordinates(pendulum.close(off)).round(2).tolist()
         [0.5]
         """
-        poses = as_poses("pose", pose)
+        poses, start = as_poses("pose", pose), as_number("t0", t0)
         self.batch_size(pose=(poses, 2))
         with np.errstate(all="ignore"):  # with an overflow it does not converge
-            return self._closed(poses)
+            return self._closed(poses, start)
 
-    def _closed(self, poses: Array) -> Array:
-        rows, parameters = self.rows, self.parameters()
+    def _closed(self, poses: Array, t0: float) -> Array:
+        rows = tuple(r for r in self.rows if r.is_holonomic or r.depends_on_time)
+        parameters = self.parameters()
         placed, at_rest = SE3.to_joint_axes(parameters, pose_components(poses), (0.0,) * 6)
         length = length_of(parameters)
         small = CLOSED * length  # m
@@ -302,7 +306,9 @@ class Problem(Model):
         # Positions in users' functions are relative to the origins of the users' frames.
         rounding = rounding_of(parameters, pose_components(poses))
         for _ in range(NEWTON_STEPS):
-            x = SE3.kinematics(body, placed, at_rest)
+            x = SE3.kinematics(body, placed, at_rest)._replace(time=t0)
+            if error := unfit_place(rows, [r.prescribed_place(x, body) for r in rows], t0):
+                raise error
             off = residuals(rows, x, body)
             here = ROUNDING * norm((0.0, *placed[1]))
             closed = np.isfinite(small)  # infinite lengths would accept any residual
@@ -343,7 +349,7 @@ class Problem(Model):
         pose : array_like or RigidTransform, shape (4, 4) or (n, 4, 4), optional
             Pose of the body. Default: the closed joint.
         t0 : float, optional
-            Time at which the speed of a motor is evaluated, s.
+            Time at which the speed or position of a motor is evaluated, s.
 
         Returns
         -------

@@ -12,7 +12,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lierb.errors import FailedTrajectoryWarning
-from lierb.kernels.systems.state import DT_MIN, EVENT, MAX_STEPS, NON_FINITE, OK, RAISED, SINGULAR
+from lierb.kernels.systems.state import (
+    DT_MIN,
+    EVENT,
+    MAX_STEPS,
+    NO_CONVERGENCE,
+    NON_FINITE,
+    OK,
+    RAISED,
+    SINGULAR,
+)
 from lierb.results.columns import as_codes
 from lierb.support.collected_warnings import are_warnings_collected
 
@@ -24,6 +33,7 @@ STATUS_NAMES = {
     SINGULAR: "singular",
     NON_FINITE: "non_finite",
     RAISED: "raised",
+    NO_CONVERGENCE: "no_convergence",
     MAX_STEPS: "max_steps",
     DT_MIN: "dt_min",
     EVENT: "event",
@@ -39,6 +49,9 @@ REMEDIES = {
     "the stiffest force or the fastest turn; a smaller dt helps there",
     "raised": "raised: a function of yours that runs body by body raised an exception; return "
     "numbers there instead, or end the run before",
+    "no_convergence": "no_convergence: the iteration for a step did not end, mostly as dt is too "
+    "long for the fastest turn, or for constraints that bend; a smaller dt helps there, or a "
+    "method without iteration",
     "max_steps": "max_steps: as many steps were tried as max_steps allows; a larger one, a shorter "
     "run, longer steps or a larger rtol help",
     "dt_min": "dt_min: the error would have asked for a shorter step than dt_min, or than rounding "

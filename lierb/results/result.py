@@ -17,6 +17,7 @@ from lierb.model.problem import Problem
 from lierb.results.animation.page import Animation, animate, described_links
 from lierb.results.columns import as_array, as_codes
 from lierb.results.failures import Failures, has_failed
+from lierb.results.sensitivities import Sensitivities
 from lierb.results.states import (
     STATE,
     RunStates,
@@ -59,6 +60,8 @@ class Result(RunStates):
     events : pyarrow.Table or None
         One row for each crossing of an event, with the state there, by trajectory and time; None
         for a problem without events.
+    sensitivities : Sensitivities or None
+        Tables of derivatives, `summary` and `history`; None without `with_respect_to`.
 
     Examples
     --------
@@ -73,6 +76,8 @@ class Result(RunStates):
     ((6,), (6, 1, 3), (6, 1, 4))
     """
 
+    sensitivities: Sensitivities | None = None
+
     @property
     def failed(self) -> NDArray[np.int64]:
         """Numbers of the trajectories whose status is neither ok nor event, ascending."""
@@ -80,7 +85,51 @@ class Result(RunStates):
 
     def __reduce__(self) -> Any:
         """Pickle without the end, whose model may have functions that cannot be pickled."""
-        return Result, (self.summary, self.history, None, self.events)
+        return Result, (self.summary, self.history, None, self.events, self.sensitivities)
+
+    def sensitivity(self, of: str, with_respect_to: str) -> NDArray[np.float64]:
+        """Return the derivatives of a quantity by a parameter of `with_respect_to`.
+
+        Parameters
+        ----------
+        of : str
+            "pose", as C⁻¹∂C (rotation in rad, then displacement in m, in body axes); "twist", ω and
+            v; "energy"; "lambda" and "reaction", if recorded; the name of an extra state or
+            observable; "t", the end time, for a problem with terminal events. For a mechanism
+            "rod.pose", "rod.twist", "pin.lambda" and "pin.reaction".
+        with_respect_to : str
+            Name of the parameter, as in the call of `lierb.integrate`.
+
+        Returns
+        -------
+        ndarray, shape (times, n, …, k) or (n, …, k)
+            Derivatives at the saved times if there is a history, otherwise at the end of each
+            trajectory, by the k numbers of the parameter; SI units. `…` is the shape of the
+            quantity: 6 for a pose and a twist. `sensitivities.summary` has the end beside a
+            history. At the end of a trajectory that a terminal event ends, a derivative includes
+            the change of the end time. After a failure all are NaN.
+
+        Raises
+        ------
+        ArgumentError
+            The run has no derivatives.
+        UnknownNameError
+            The quantity is not differentiated, or the parameter was not given.
+
+        Examples
+        --------
+        >>> import lierb
+        >>> flight = lierb.Problem(lierb.bodies.sphere(0.1, mass=1.0), lierb.joints.free())
+        >>> start = {"twist0": (0.0, 0.0, 0.0, 2.0, 0.0, 0.0), "dt": 0.1, "t_end": 0.5}
+        >>> result = lierb.integrate(flight, **start, with_respect_to="twist0")
+        >>> result.sensitivity("pose", "twist0")[0, 3:, 3:].round(9).tolist()
+        [[0.5, 0.0, 0.0], [0.0, 0.5, 0.0], [0.0, 0.0, 0.5]]
+        """
+        if self.sensitivities is None:
+            raise ArgumentError(
+                "there are no derivatives; integrate with with_respect_to=, the parameters' names"
+            )
+        return self.sensitivities.array(of, with_respect_to)
 
     def animate(self, path: str | os.PathLike[str] | None = None, **options: Any) -> Animation:
         """Animate trajectories; write an HTML file, or show the animation in a notebook.
@@ -258,6 +307,8 @@ class Result(RunStates):
         if self.events is not None:
             rows.append(("events", self._events_text()))
         rows.append(("history", self._history_text()))
+        if self.sensitivities is not None:
+            rows.append(("derivatives", f"by {', '.join(self.sensitivities.parameters)}"))
         shape = self._array_shape()
         if self.links:
             rows.append(("links", ", ".join(f"result[{link!r}]" for link in self.links)))

@@ -69,19 +69,34 @@ class Continuation:
                 return span.origin, round((span.end - span.origin) / dt)
         return counted(self.t0, dt)
 
-    def state_of(self, plan: AnyPlan) -> Array:
-        """Return `end_columns` of the new run's plan; NaN for columns that this end lacks."""
+    def state_of(self, plan: AnyPlan, dt: float) -> Array:
+        """Return `end_columns` of the new run's plan; NaN for columns that this end lacks.
+
+        What the method carries goes on with the same method and step dt, s, alone.
+        """
         before, after = lane_end(self.plan), lane_end(plan)
         has_its_rows = plan.rows == self.plan.rows
-        if after.fields == before.fields and has_its_rows:
+        known, own = len(state_columns(self.plan)), len(state_columns(plan))
+        carried = plan.method.carried(len(plan.rows))
+        goes_on = plan.method == self.plan.method and has_its_rows and dt == self._dt
+        is_whole = known == own and (goes_on or not carried)
+        if after.fields == before.fields and has_its_rows and is_whole:
             return self.state
-        own = len(state_columns(plan))
         content = np.full((own + after.count, self.state.shape[1]), np.nan)
-        content[:own] = self.state[:own]
+        shared = own if goes_on else own - carried
+        content[:shared] = self.state[:shared]
         for field, part in after:
             if field in before.fields and (has_its_rows or field.name != "dropped"):
-                content[own:][part] = self.state[own:][before[field.name]]
+                content[own:][part] = self.state[known:][before[field.name]]
         return content
+
+    @property
+    def _dt(self) -> float:
+        """Step of the run that has ended, s; the first one if steps are adaptive."""
+        if isinstance(self.clock, LaneTime):
+            return self.clock.tolerances.dt
+        assert isinstance(self.clock, StepClock)
+        return self.clock.dt
 
     @property
     def own(self) -> list[str]:

@@ -22,6 +22,7 @@ from lierb.runs.inputs import Inputs
 from lierb.runs.output import Output
 from lierb.runs.threads import running
 from lierb.support.arrays import Array
+from lierb.support.memory import require_memory
 
 Clocks = TypeVar("Clocks", bound=Clock)
 
@@ -74,6 +75,8 @@ class Run(Generic[Clocks]):
         if not isinstance(plan, MechanismPlan) or not plan.is_in_memory:
             return {}
         table, rows = table_of(plan)
+        size = 8 * rows * plan.lanes * self.threads
+        require_memory(size, f"memory for {plan.links} links", "lower threads= of lierb.integrate")
         return {"table": table, "memory": _aligned(rows, plan.lanes)}
 
     def run(self, integrate: Any, counter: NDArray[np.int64], jobs: NDArray[Any]) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import NamedTuple
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 
 from lierb.kernels.loops.job import BODIES, POSES, TWISTS
 from lierb.kernels.loops.record import end_columns
-from lierb.kernels.systems.layout import Columns, Field
+from lierb.kernels.systems.layout import DIRECTIONS, Columns, Field
 from lierb.kernels.systems.plan import AnyPlan
 from lierb.model.base import Model
 from lierb.support.arrays import Array
@@ -94,6 +95,7 @@ class Inputs:
     count : number of trajectories.
     time : start time, s.
     state : [`end_columns`][trajectory or 1] for a continued run, in place of pose and twist.
+    seeds : derivatives of the moving fields, [direction][trajectory or 1][number], by field.
     """
 
     model: Model
@@ -102,18 +104,20 @@ class Inputs:
     count: int
     time: float = 0.0
     state: Array | None = None
+    seeds: dict[str, Array] | None = None
 
     @property
     def differ(self) -> int:
         """Kind of the inputs that differ between trajectories: TWISTS, POSES or BODIES."""
-        if _layout(self.model, self.columns).differ:
+        own = {name for name, array in (self.seeds or {}).items() if array.shape[1] > 1}
+        if _layout(self.model, self.columns).differ or own - self.starts.keys():
             return BODIES
         are_one = self.state is not None or all(
             _is_shared(self.columns.field(name), array)
             for name, array in self.starts.items()
             if name != "twist"
         )
-        return TWISTS if are_one else POSES
+        return TWISTS if are_one and own <= {"twist"} else POSES
 
     def addresses(self, plan: AnyPlan) -> Addresses:
         """Return the addresses of all columns.
@@ -124,12 +128,25 @@ class Inputs:
         if self.state is None:
             for name, array in self.starts.items():
                 addresses[columns[name]] = _addresses_of(columns.field(name), array)
-            return addresses
+            return np.concatenate([addresses, *self._seeds()])
         at = columns["state"].start
         of_state = _unused(columns.count - at)
         for row, column in zip(self.state, end_columns(plan), strict=True):
             of_state[column] = row.ctypes.data, row.strides[0] if len(row) > 1 else 0
         return np.concatenate([addresses, of_state])
+
+    def _seeds(self) -> Iterator[Addresses]:
+        """Yield the addresses of each field's seeds, [number, direction]."""
+        for field, _ in self.columns if self.seeds else ():
+            seeds = (self.seeds or {}).get(field.name)
+            if seeds is not None:
+                addresses = np.zeros((field.width, DIRECTIONS, 2), dtype=np.int64)
+                numbers, directions = np.ogrid[: field.width, :DIRECTIONS]
+                per_direction, per_trajectory, per_number = seeds.strides
+                addresses[..., 0] = seeds.ctypes.data + per_number * numbers
+                addresses[..., 0] += per_direction * directions
+                addresses[..., 1] = per_trajectory if seeds.shape[1] > 1 else 0
+                yield addresses.reshape(-1, 2)
 
     def numbers(self, trajectory: int) -> list[np.float64]:
         """Return the numbers of one trajectory in the order of the columns, except the state."""

@@ -149,7 +149,8 @@ class LaneRun(Run[LaneTime]):
     @cached_property
     def arrays(self) -> dict[str, NDArray[Any]]:
         output, times = self.output, self.times
-        for array in (output.history, *output.states, output.multipliers, output.reactions):
+        rows = (output.multipliers, output.reactions, output.derivatives)
+        for array in (output.history, *output.states, *rows):
             if times.saved_rows:
                 array.fill(np.nan)  # rows after a trajectory's end
         output.summary[SUMMARY.index("raised")] = calls.CLEAR  # of running trajectories

@@ -9,10 +9,8 @@ from typing import Any
 from numpy.typing import ArrayLike
 
 from lierb.errors import ArgumentError, brief, items_of, require_name
-from lierb.kernels.mechanics.elements import UserStates
 from lierb.kernels.systems.formulations import FORMULATIONS
 from lierb.kernels.systems.plan import UPDATES, Stabilisation
-from lierb.methods import Method
 from lierb.model.base import Model
 from lierb.model.formulation import (
     CSPACE_NAMES,
@@ -22,6 +20,7 @@ from lierb.model.formulation import (
     described_cspace,
     described_stabilisation,
 )
+from lierb.runs.method_limits import check_method, formulation_for
 from lierb.runs.time_options import check_periods, checked_seed, timing_of
 from lierb.runs.timing import Timing
 
@@ -73,11 +72,11 @@ class Options:
         saves = any(time.get(name) is not None for name in ("save_every", "save_at"))
         recorded = _checked_record(record, saves)
         timing = timing_of(has_own_time=model.has_own_time, **time)
-        _check_method(timing.method, model, update)
+        check_method(timing, model, update)
         check_periods(model.controllers, timing)
         space = model.default_cspace if cspace is None else cspace
-        formulation = model.formulation(
-            cspace=space, update=update, check=check, solver=solver, stabilise=stabilise
+        formulation = formulation_for(
+            timing.method, model, space, solver, update=update, check=check, stabilise=stabilise
         )
         return cls(
             formulation, described_cspace(space), update, timing, recorded, check,
@@ -113,23 +112,6 @@ class Options:
         if self.formulation.stabilisation is not None:
             options["stabilise"] = described_stabilisation(self.formulation.stabilisation)
         return options
-
-
-def _check_method(method: Method, model: Model, update: str) -> None:
-    """Raise ArgumentError for a method that cannot integrate the model with this update."""
-    if update not in method.updates:
-        known = " or ".join(f'"{each}"' for each in method.updates)
-        raise ArgumentError(f'method {method.name} needs update={known}, not update="{update}"')
-    if method.is_explicit:
-        return
-    for element in model.kinds:
-        for function in element.functions:
-            moves = not element.is_passive or isinstance(element, UserStates)
-            if moves and not function.is_traced:
-                raise ArgumentError(
-                    f"method {method.name} needs derivatives of {function.name}, which is called "
-                    "body by body; write it so that it is compiled, or take an explicit method"
-                )
 
 
 def check_names(**given: str) -> None:

@@ -20,9 +20,11 @@ from lierb.kernels.loops.record import (
     summary_columns,
 )
 from lierb.kernels.stepping.clock import Clock, StepClock, time_of
-from lierb.kernels.systems.layout import LANE_SUMMARY, POSE_AND_TWIST
+from lierb.kernels.systems.derivatives import derivative_columns
+from lierb.kernels.systems.layout import DIRECTIONS, LANE_SUMMARY, POSE_AND_TWIST, Columns
 from lierb.kernels.systems.measures import KEPT, SUMMARY
 from lierb.kernels.systems.plan import AnyPlan
+from lierb.kernels.systems.signals import events_of
 from lierb.kernels.systems.state import OK
 from lierb.kernels.systems.system_of import system_of
 from lierb.kernels.tracing import calls
@@ -43,6 +45,9 @@ class Output:
     multipliers : [time][trajectory][row of any joint].
     reactions : [joint, time][trajectory][component].
     ends : the driver's state at the end, [`end_columns`][trajectory].
+    derivatives : [column, direction][time][trajectory], of `derivative_columns`.
+    end_derivatives : at the end, [column, direction][trajectory]; then, for a model with events,
+        those in time, [column][trajectory].
     raised : description of each trajectory's first exception in a user's function.
     events : [event][trajectory, index, t, state of every link, extra states and outputs], sorted by
         trajectory and time; None without events.
@@ -56,14 +61,17 @@ class Output:
     multipliers: Array
     reactions: Array
     ends: Array
+    derivatives: Array
+    end_derivatives: Array
     raised: dict[int, str]
     events: Array | None = None
 
     @classmethod
     def empty(cls, plan: AnyPlan, count: int, clock: Clock, with_state: bool) -> Output:
         shapes = _shapes(plan, count, clock.saved_rows, with_state)
-        summary, history, *states, multipliers, reactions, ends = map(room, shapes)
-        return cls(plan, clock, summary, history, tuple(states), multipliers, reactions, ends, {})
+        summary, history, *states, multipliers, reactions, ends, rows, end = map(room, shapes)
+        results = (summary, history, tuple(states), multipliers, reactions, ends, rows, end)
+        return cls(plan, clock, *results, {})
 
     @property
     def links(self) -> int:
@@ -80,7 +88,10 @@ class Output:
         states = {
             field.name: a for field, a in zip(POSE_AND_TWIST.fields, self.states, strict=True)
         }
-        names = ("summary", "history", "multipliers", "reactions", "ends")
+        names = (
+            "summary", "history", "multipliers", "reactions", "ends", "derivatives",
+            "end_derivatives",
+        )  # fmt: skip
         return states | {name: getattr(self, name) for name in names}
 
     @property
@@ -165,6 +176,7 @@ def _shapes(plan: AnyPlan, count: int, rows: int, with_state: bool) -> tuple[tup
     system = system_of(plan)
     # With one clock per lane, the end is not a row of the history.
     states = ((rows + plan.has_lane_clocks) if with_state else 1) * system.links
+    derivatives = derivatives_of(plan).count if plan.moving else 0
     return (
         (summary_columns(plan), count),
         (history_columns(plan), rows, count),
@@ -172,7 +184,15 @@ def _shapes(plan: AnyPlan, count: int, rows: int, with_state: bool) -> tuple[tup
         (rows * plan.multipliers, count, len(plan.rows)),
         (rows * plan.reaction * max(len(system.joints), 1), count, 6),
         (len(end_columns(plan)), count),
+        (derivatives * DIRECTIONS, rows, count),
+        (derivatives * (DIRECTIONS + bool(events_of(plan))), count),
     )
+
+
+def derivatives_of(plan: AnyPlan) -> Columns:
+    """Return the columns of an Output's derivatives."""
+    system = system_of(plan)
+    return derivative_columns(plan, system.links, len(system.joints))
 
 
 class Chunk(NamedTuple):

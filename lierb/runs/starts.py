@@ -64,7 +64,7 @@ def ready(model: Model, options: Options, pose0: Any, twist0: Any) -> Ready:
         starts[f"{field}twist"] = twists[link]
         if poses is not None:
             starts[f"{field}pose"] = poses[link]
-    state = None if known is None else known.state_of(plan)
+    state = None if known is None else known.state_of(plan, timing.dt)
     inputs = Inputs(model, system_of(plan).inputs, starts, count, timing.t0, state)
     given = options.trajectories
     numbers = None if given is None else checked_numbers(given, count)

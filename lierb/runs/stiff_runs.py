@@ -34,7 +34,7 @@ def warn_of_stiff_run(run: Ready, output: Output, **options: Any) -> None:
     """
     timing, plan = run.options.timing, run.plan
     method = timing.method
-    if not (timing.is_adaptive and method.is_explicit) or are_warnings_collected():
+    if not timing.is_adaptive or method.needs_derivatives or are_warnings_collected():
         return
     if plan.update == "global" or plan.calls_functions or plan.code.is_looped:
         return  # formulas for numbers in the chart of a step, of one size, are needed
@@ -79,6 +79,5 @@ def eigenvalues_at_end(run: Ready, output: Output, number: int) -> Array:
 def stability_bound(method: Method) -> float:
     """Largest x for which |R(−x)| ≤ 1 on [0, x], with R the method's stability function."""
     x = np.linspace(0.0, FARTHEST, 10_001)
-    changes = method.linear_stages(-x)
-    size = np.abs(1.0 + sum(b * k for b, k in zip(method.b, changes, strict=True)))
+    size = np.abs(method.amplification(-x))
     return float(x[max(int(np.argmax(size > 1.0 + 1e-9)) - 1, 0)])

@@ -2,7 +2,7 @@
 
 At the start, the forces of `lierb.forces` are linearised along the motions that the constraints
 allow: q̈ + D q̇ + K q = 0. A step of length h multiplies a mode e^(λt) by R(hλ), where R is the
-method's stability polynomial. The exact modes do not grow, since K and D are positive
+method's stability function. The exact modes do not grow, since K and D are positive
 semi-definite. Steps are too long if the method lets a mode double during the run.
 """
 
@@ -44,7 +44,6 @@ MOST_GROWTH = math.log(2.0)  # largest accepted log growth of a mode in a run
 FEW = 32  # batch size up to which all members are linearised
 SPREAD = 8  # evenly spaced members of a larger batch, linearised beside the stiffest ones
 BODY = "body"  # link name of a single body
-LARGEST = 200.0  # most decimal digits of |hλ|^stages, so that R does not overflow
 ROUNDING = 1e-14  # rounding error of log|R|
 HALVINGS = 1000  # most halvings of a step: beyond, doubles underflow
 DIGITS = 20  # binary digits of the longest stable step
@@ -101,19 +100,6 @@ def _is_known(kind: Element) -> bool:
     return type(kind).tangents is not Element.tangents
 
 
-def amplification(method: Method, z: Complex) -> Complex:
-    """Stability function of the method, R(z); of a Runge–Kutta method 1 + z bᵀ(1 − zA)⁻¹(1, …, 1)ᵀ.
-
-    z : hλ, scaled down if R would overflow.
-    Hairer and Wanner, Solving Ordinary Differential Equations II, IV.2.
-    """
-    size, most = np.abs(z), 10.0 ** (LARGEST / method.stages)
-    z = np.where(size > most, z * (most / np.where(size > 0.0, size, 1.0)), z)
-    changes = method.linear_stages(z)
-    value: Complex = 1.0 + sum(b * change for b, change in zip(method.b, changes, strict=True))
-    return value
-
-
 class _Modes(NamedTuple):
     """Modes of batch members with the same number of freedoms.
 
@@ -127,7 +113,7 @@ class _Modes(NamedTuple):
 
     def growth(self, method: Method, steps: float, share: float = 1.0) -> Array:
         """Log growth of each mode in `steps` steps of `share` times the step length."""
-        factors = np.abs(amplification(method, share * self.exponents))
+        factors = np.abs(method.amplification(share * self.exponents))
         logarithms: Array = steps * (np.log(factors) - ROUNDING)
         return logarithms
 
@@ -143,7 +129,9 @@ class _OwnForces:
     @classmethod
     def of(cls, problem: Model) -> _OwnForces:
         forces = [f for f in problem.forces if _is_known(f.kind) or f.kind.rows]
-        given: dict[str, Any] = {"forces": forces, "constraints": problem.constraints}
+        given: dict[str, Any] = {
+            "forces": forces, "constraints": problem.constraints, "states": problem.counters,
+        }  # fmt: skip
         if isinstance(problem, Mechanism):
             return cls(Mechanism(problem.links, problem.loops, **given), False, False)
         assert isinstance(problem, Problem)

@@ -1,4 +1,4 @@
-"""Monte Carlo draws for very many bodies, each a function of the seed and the body's number.
+"""Each Monte Carlo draw, for very many bodies, is a function of the seed and the body's number.
 
 ::
 

@@ -1,4 +1,4 @@
-"""Designs: values of n bodies, each a function of the seed and the body's number."""
+"""Designs are values of n bodies, each a function of the seed and the body's number."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ LONGEST = 10**40  # largest number written out in a message
 
 @dataclass(frozen=True, eq=False, init=False)
 class Design:
-    """Plan of which values n bodies get.
+    """A design plans which values n bodies get.
 
     Parameters
     ----------
@@ -122,12 +122,12 @@ class Design:
 
     @property
     def dimension(self) -> int:
-        """Number of uniforms that a body takes."""
+        """Return the number of uniforms that a body takes."""
         return sum(quantity.dimension for quantity in self.quantities.values())
 
     @property
     def drawn(self) -> tuple[str, ...]:
-        """Names of the quantities that differ between bodies."""
+        """Return the names of the quantities that differ between bodies."""
         return tuple(name for name, q in self.quantities.items() if q.dimension)
 
     @property

@@ -1,4 +1,4 @@
-"""Base of the distributions, and checks of their parameters."""
+"""Define the base of the distributions, and checks of their parameters."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ SHAPES = {
 
 
 class Distribution:
-    """Distribution that the value of one body is drawn from: the base of those below.
+    """The value of one body is drawn from a distribution; this class is the base of those below.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""Distributions of numbers, vectors and rotations, as functions of uniforms.
+"""Distributions of numbers, vectors and rotations are functions of uniforms.
 
 Each draw is an inverse distribution function of `dimension` uniforms, without rejection. Its bits
 are the same alone and in any batch, on one kind of CPU. Parameters are a number, the same for all
@@ -59,7 +59,7 @@ class Constant(Distribution):
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
 class Uniform(Distribution):
-    """Uniform distribution between two bounds, independent in each component.
+    """The distribution is uniform between two bounds, independent in each component.
 
     Parameters
     ----------
@@ -94,7 +94,7 @@ class Uniform(Distribution):
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
 class Direction(Distribution):
-    """Distribution of vectors that point anywhere with equal probability.
+    """The vectors of the distribution point anywhere with equal probability.
 
     z = 1 − 2u₀ is uniform in (−1, 1) and the azimuth 2πu₁ in (0, 2π), by Archimedes' theorem that a
     sphere and its cylinder have equal zones; the length takes further uniforms.
@@ -137,7 +137,7 @@ class Direction(Distribution):
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
 class Rotation(Distribution):
-    """Uniform distribution of rotation matrices over SO(3), invariant under any fixed rotation.
+    """Rotation matrices are uniform over SO(3), invariant under any fixed rotation.
 
     The quaternion (√u₀ (cos 2πu₂, sin 2πu₂), √(1 − u₀) (sin 2πu₁, cos 2πu₁)) is uniform over the
     unit sphere. RᵀR is I to 1e-15 in every entry.

@@ -1,4 +1,4 @@
-"""Normal distributions: independent, correlated, truncated, and of the logarithm."""
+"""Normal distributions are independent, correlated, truncated, or of the logarithm."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ SYMMETRY_TOLERANCE = 1e-12  # relative to the largest entry
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
 class Normal(Distribution):
-    """Normal distribution, with independent or correlated components.
+    """The distribution is normal, with independent or correlated components.
 
     x = mean + L z with LLᵀ = covariance (Cholesky), z = Φ⁻¹(u).
 
@@ -126,7 +126,7 @@ def _cholesky(matrix: Array) -> Array:
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
 class TruncatedNormal(Distribution):
-    """Normal distribution truncated to an interval, independent in each component.
+    """The normal distribution is truncated to an interval, independent in each component.
 
     The quantiles are accurate to rounding for any ratio of std and high − low, and for a mean
     anywhere: their limits are the uniform distribution between the bounds, and the exponential one
@@ -185,7 +185,9 @@ class TruncatedNormal(Distribution):
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
 class LogNormal(Distribution):
-    """Distribution of exp of a normal variable: for positive quantities known up to a factor.
+    """The distribution is that of exp of a normal variable.
+
+    It is for positive quantities known up to a factor.
 
     Parameters
     ----------

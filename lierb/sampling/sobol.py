@@ -1,4 +1,4 @@
-"""Points of a scrambled Sobol sequence, from any number on."""
+"""Compute points of a scrambled Sobol sequence, from any number on."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ WALKED_BITS = 12  # bits of a point's number up to which SciPy's points are comp
 
 @dataclass(frozen=True)
 class Sobol:
-    """Sobol sequence, scrambled by a seed.
+    """The Sobol sequence is scrambled by a seed.
 
     size : number of points, up to 2³².   coordinates : of each point.
     """

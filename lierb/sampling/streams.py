@@ -1,4 +1,4 @@
-"""Streams of random words and uniforms, by seed, name and number."""
+"""Draw streams of random words and uniforms, by seed, name and number."""
 
 from __future__ import annotations
 

@@ -38,7 +38,7 @@ def _between(mean: float, std: float, low: float, high: float, p: Array, q: Arra
 
 
 def _nearly_uniform(alpha: float, beta: float, p: Array) -> Array:
-    """Quantiles of the density exp(−αt − βt²/2) on (0, 1), whose log changes by LONGEST at most."""
+    """Return quantiles of exp(−αt − βt²/2) on (0, 1), a density whose log changes by ≤ LONGEST."""
     nodes = 0.5 * (NODES + 1.0)
 
     def mass(t: Array) -> Array:

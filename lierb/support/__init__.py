@@ -1,1 +1,1 @@
-"""Arrays, memory, files, progress and optional packages, without mechanics."""
+"""Handle arrays, memory, files, progress and optional packages, without mechanics."""

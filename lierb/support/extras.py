@@ -26,7 +26,7 @@ DIRECT = "direct_url.json"  # origin of a distribution that is not from an index
 
 
 class MissingExtraError(ImportError):
-    """Error for a package of an optional part that is not installed."""
+    """A package of an optional part is not installed."""
 
 
 def is_installed(extra: str) -> bool:

@@ -60,7 +60,7 @@ def too_large(what: str, size: int, free: int, remedy: str) -> MemoryLimitError:
 
 
 def available() -> int:
-    """Bytes that the process can allocate without swapping; the physical memory if unknown."""
+    """Return the bytes allocatable without swapping; the physical memory if unknown."""
     limits = [sys.maxsize, *_left_of_groups()]
     with suppress(OSError, KeyError, ValueError):
         limits.append(1024 * int(_table(MEMINFO)["MemAvailable:"]))
@@ -71,7 +71,7 @@ def available() -> int:
 
 
 def _left_of_groups() -> list[int]:
-    """Free bytes within the limit of each control group (version 2) of the process.
+    """Return the free bytes within the limit of each control group (version 2) of the process.
 
     Cached pages of files count as free, because the system releases them when needed.
     """

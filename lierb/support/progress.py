@@ -85,7 +85,7 @@ def _in_notebook() -> bool:
 
 
 class TerminalBar:
-    """Progress bar on standard error, by rich. Raises ImportError without rich."""
+    """This bar is shown on standard error, by rich. Raises ImportError without rich."""
 
     def __init__(self, total: int, of: str = BODY_STEPS) -> None:
         from rich.console import Console
@@ -117,7 +117,7 @@ class TerminalBar:
 
 
 class NotebookBar:
-    """Progress bar below a notebook's cell, by IPython, as rich needs ipywidgets there."""
+    """This bar is shown below a notebook's cell, by IPython, as rich needs ipywidgets there."""
 
     def __init__(self, total: int, of: str = BODY_STEPS) -> None:
         self._total, self._of = total, of

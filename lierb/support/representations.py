@@ -18,7 +18,7 @@ LOUD = "color: #b00020; font-weight: bold"
 
 
 class Represented:
-    """Object with a description: `_representation` returns a title and labelled lines."""
+    """A description has a title and labelled lines, returned by `_representation`."""
 
     def _representation(self) -> tuple[str, Lines]:
         raise NotImplementedError

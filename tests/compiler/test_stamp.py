@@ -227,13 +227,13 @@ def test_stamp_of_a_tag_is_of_the_modules_of_all_its_classes():
                     rows=(),
                     cspace="SE3",
                     update="local",
-                    method=scheme.Scheme(stages=(), weights=()),
+                    method=scheme.StagedScheme(stages=(), weights=()),
                     multipliers=False,
                 ),
             ),
         )
     )
-    modules = sorted((__name__, plan.Plan.__module__, scheme.Scheme.__module__))
+    modules = sorted((__name__, plan.Plan.__module__, scheme.StagedScheme.__module__))
     assert stamp_of(within) == source_stamp(*modules)
 
 

@@ -106,4 +106,4 @@ def go_through():
     found = body(), seen(), TIME
     SYSTEM.observed(*found), SYSTEM.events(*found), SYSTEM.state_rates(*found)
     SYSTEM.controlled(*found, 0, NOISE)
-    SYSTEM.initial_states(body()), SYSTEM.initial_memory(body()), SYSTEM.periods(body())
+    SYSTEM.initial_states(body(), None), SYSTEM.initial_memory(body()), SYSTEM.periods(body())

@@ -14,7 +14,7 @@ from scipy.linalg import expm
 from lierb.kernels.groups import quaternion, turns
 from lierb.kernels.numbers.zero import is_zero
 from lierb.kernels.stepping.method import Method
-from lierb.kernels.stepping.runge_kutta import ExplicitRungeKutta
+from lierb.kernels.stepping.method_of import FAMILIES
 from lierb.kernels.systems.formulations import FORMULATIONS
 from lierb.kernels.systems.state import Slopes, Units
 from lierb.kernels.systems.system import System
@@ -37,7 +37,7 @@ def members(protocol):
     [
         *((formulation, System) for formulation in FORMULATIONS.values()),
         (TreeFormulation, System),
-        (ExplicitRungeKutta, Method),
+        *((family, Method) for family in FAMILIES.values()),
     ],
 )
 def test_protocol_is_fit(kind, protocol):

@@ -54,7 +54,7 @@ def test_shapes_of_plan_are_in_the_order_of_elements():
 
 
 def test_initial_values_and_periods_are_the_parameters():
-    assert SYSTEM.initial_states(body()) == (11.0, 12.0, 13.0, 14.0)
+    assert SYSTEM.initial_states(body(), None) == (11.0, 12.0, 13.0, 14.0)
     assert SYSTEM.initial_memory(body()) == (21.0, 22.0, 23.0)
     assert SYSTEM.periods(body()) == (0.2, 0.1)
 

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 import lierb
 from lierb.compiler.entries import kernels_loaded
-from lierb.errors import ArgumentError, FailedTrajectoryWarning
+from lierb.errors import ArgumentError, FailedTrajectoryWarning, MemoryLimitError
 from lierb.kernels.numbers.vec import Vec
 from lierb.kernels.stepping.method import Interval
 from lierb.kernels.stepping.method_of import method_of
@@ -18,6 +18,7 @@ from lierb.kernels.systems.system_of import system_of
 from lierb.runs import engine, lane_engine
 from lierb.runs.options import Options
 from lierb.runs.starts import ready
+from lierb.support import memory
 from mechanisms.shared import bits
 
 GRAVITY = (0.4, -0.3, -9.81)
@@ -316,16 +317,24 @@ def test_what_loops_cannot_run_is_refused_by_name():
     start = {"pose0": mechanism.pose(), "twist0": mechanism.twist()}
     with pytest.raises(ArgumentError, match='solver="looped" does not support joints whose'):
         looped(mechanism, start)
-    stop = lierb.forces.joint_limit(lower=-1.0, upper=1.0, stiffness=10.0)
-    tree = tree_of(("revolute", "revolute"), forces=(stop.on("link0"),))
-    with pytest.raises(ArgumentError, match="does not support stops"):
-        lierb.integrate(tree, **start_of(tree), rtol=1e-8, t_end=0.1, solver="looped")
+    tree = tree_of(("revolute", "revolute"))
+    with pytest.raises(ArgumentError, match='does not support update="ambient"'):
+        looped(tree, start_of(tree), update="ambient")
     body = lierb.Problem(lierb.Body(1.0, (1.0, 1.0, 1.0)), lierb.joints.spherical())
     for solver, cspace in (("looped", "SE3"), ("unrolled", "SE3"), ("looped", "reduced")):
         with pytest.raises(ArgumentError, match=r"is for a lierb\.Mechanism; leave"):
             lierb.integrate(body, twist0=[0.0] * 6, dt=0.1, t_end=0.1, solver=solver, cspace=cspace)
     with pytest.raises(ArgumentError, match="looped, unrolled"):
         looped(tree, start_of(tree), solver="saddle")
+
+
+def test_memory_that_a_tree_takes_on_all_threads_is_asked_for(monkeypatch):
+    mechanism = tree_of(SIX)
+    start = start_of(mechanism)
+    monkeypatch.setattr(memory, "ALWAYS", 0)
+    monkeypatch.setattr(memory, "available", lambda: 100_000)
+    with pytest.raises(MemoryLimitError, match=r"memory for 6 links takes .* lower threads="):
+        looped(mechanism, start, threads=2)
 
 
 @pytest.mark.slow

@@ -233,6 +233,13 @@ def test_c34_a_stiff_governor_moves_as_radau_says():
     # 1e-10 of Radau's, and RK4 in the first 2 ms, while the coupler takes up the load
     np.testing.assert_allclose(-place, right[1], rtol=0, atol=1e-8)
     np.testing.assert_allclose(R[:, 2, 2], np.cos(right[0]), rtol=0, atol=1e-8)
+    options = {"rtol": 1e-8, "method": "Rodas5P", "save_at": t, "record": "state"}
+    stiff = lierb.integrate(machine, pose0=pose0, twist0=twist0, t_end=2.0, **options)
+    np.testing.assert_allclose(-stiff["slider"].position[:, 0, 2], right[1], rtol=0, atol=1e-8)
+    np.testing.assert_allclose(
+        stiff["left"].rotation[:, 0, 2, 2], np.cos(right[0]), rtol=0, atol=1e-8
+    )
+    assert stiff["steps"][0] < 4000  # RK4 takes 40 000
 
 
 # ---- c40: four loops ---------------------------------------------------------------------------

@@ -95,13 +95,3 @@ def test_c27_a_counted_angle_winds_a_spring_by_many_turns():
     R = summed(result, "rotation").reshape(3, 3, 3)
     off = np.arctan2(R[:, 1, 0], R[:, 0, 0]) - angle
     np.testing.assert_allclose(np.sin(off / 2), 0.0, atol=1e-11)
-
-
-# ---- c29b: a motor of given speed on a slide ---------------------------------------------------
-
-
-def test_c29b_motor_of_given_speed_on_a_slide_is_refused():
-    """A joint that does not turn about an axis has no speed about it, by definition."""
-    cart = lierb.Link("cart", lierb.Body(1.0, (0.1, 0.1, 0.1)), lierb.joints.prismatic())
-    with pytest.raises(lierb.errors.LierbError, match="motor"):
-        lierb.Mechanism(cart, forces=lierb.forces.motor(speed=1.0).on("cart"))

@@ -135,6 +135,33 @@ def test_c10_a_pendulum_has_its_period_whatever_its_size():
     np.testing.assert_allclose(result.t, right, rtol=1e-10)
 
 
+# ---- c42: inertia about which point ------------------------------------------------------------
+
+
+def test_c42_a_data_sheets_pendulum_has_its_period():
+    """kdl_parser#39, IsaacLab#4162, trimesh#1640: inertia is taken about another point.
+
+    A rod of 1 m on a pivot at its end, where its frame is. The data sheet's m L²/12 is about its
+    centre. Right: half a period is 2 K(sin²(θ₀/2)) √(2 L / 3 g). About the frame m L²/12 would be
+    too little for any body, and the refusal names the remedy.
+    """
+    mass, length, angle = 0.7, 1.0, 0.3
+    across, along = mass * length**2 / 12.0, 1e-4
+    sheet = {"mass": mass, "inertia": (across, across, along), "com": (0.0, 0.0, -length / 2)}
+    with pytest.raises(lierb.errors.InertiaError, match='about="com"'):
+        lierb.Body(**sheet)
+    held = lierb.joints.revolute(axis=(0.0, 1.0, 0.0))
+    body = lierb.Body(**sheet, about="com")
+    problem = lierb.Problem(body, held, (0.0, 0.0, -G), events=at_rest())
+    result = lierb.integrate(
+        problem, pose0=held.pose(coordinates=[angle]), twist0=np.zeros(6), t_end=5.0,
+        rtol=1e-12, method="DP54",
+    )  # fmt: skip
+    quarter = float(mpmath.ellipk(mpmath.sin(angle / 2) ** 2))
+    right = 2.0 * quarter * np.sqrt(2.0 * length / (3.0 * G))
+    np.testing.assert_allclose(result.t, right, rtol=1e-10)  # as of c10
+
+
 # ---- c21: two million steps --------------------------------------------------------------------
 
 

@@ -1,1 +1,1 @@
-"""Users' functions: checked, traced, or called lane by lane."""
+"""Users' functions are checked, and traced or called lane by lane."""

@@ -1,4 +1,4 @@
-"""Copies of users' functions and of all that they refer to, for traces and for Numba."""
+"""Copy users' functions, and all that they refer to, for traces and for Numba."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def _for_traces(value: Any) -> Any:
 
 
 class _Copier:
-    """Copier of functions that replaces the objects that they refer to.
+    """A copier replaces the objects that the copied functions refer to.
 
     helper : replaces users' functions.   known : replaces objects of known packages.
     container : replaces lists, dictionaries and sets, from (name, copy of the container).
@@ -112,7 +112,7 @@ class _Copier:
 
 
 class _Module(types.ModuleType):
-    """Members of a user's module that a function uses."""
+    """Hold the members of a user's module that a function uses."""
 
     def __setattr__(self, name: str, value: Any) -> None:
         raise UnfitFunctionError(f"it changes {self.__name__}.{name}; {ALONE}")
@@ -150,7 +150,7 @@ class _FrozenDict(dict):
 
 
 class _Set:
-    """Set with `in` and `len` only: its order may differ between processes."""
+    """A set in a trace has `in` and `len` only, as its order may differ between processes."""
 
     def __init__(self, members: frozenset[Any]) -> None:
         self.__contains, self.__count = members.__contains__, len(members)

@@ -1,4 +1,4 @@
-"""Elementary functions of users' numbers with derivatives: sines, exponentials, roots, powers."""
+"""Sines, exponentials, roots and powers of users' numbers have derivatives."""
 
 from __future__ import annotations
 
@@ -125,7 +125,7 @@ def _angle(y: Any, x: Any) -> Any:
 
 
 def arctan2(y: Any, x: Any) -> Any:
-    """Angle of the point (x, y), rad."""
+    """Return the angle of the point (x, y), rad."""
     if not (isinstance(y, Dual) or isinstance(x, Dual)):
         return _angle(y, x)
     top, right = value_of(y), value_of(x)
@@ -173,7 +173,10 @@ def reciprocal(x: Any) -> Any:
 
 
 def hypot(*numbers: Any) -> Any:
-    """Root of the sum of squares, scaled by a power of two if squares overflow or underflow."""
+    """Return the root of the sum of squares.
+
+    The numbers are scaled by a power of two if squares overflow or underflow.
+    """
     sizes = [absolute(raw(x)) for x in numbers]
     largest = reduce(lambda a, b: select(b > a, b, a), sizes)
     down, up = largest > 2.0**500, largest < 2.0**-500

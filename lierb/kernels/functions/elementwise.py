@@ -1,4 +1,4 @@
-"""Elementwise functions of NumPy on users' numbers, by their NumPy names."""
+"""Evaluate NumPy's elementwise functions, by their names, on users' numbers."""
 
 from __future__ import annotations
 

@@ -31,7 +31,7 @@ LITERALS = (type(None), bool, int, float, complex, str, bytes, slice, range, typ
 
 
 def fingerprint(function: UserFunction) -> str:
-    """Digest of a function's code and of all that it refers to."""
+    """Return the digest of a function's code and of all that it refers to."""
     require_pure(function, [])
     description = _described_function(function, [function])
     return hashlib.sha256(repr(description).encode()).hexdigest()[:32]
@@ -89,7 +89,7 @@ def _described_code(code: types.CodeType, path: list[Any]) -> Any:
 
 
 def modules_named(value: Any, attributes: set[str], seen: list[tuple[Any, set[str]]]) -> set[str]:
-    """Names of the modules of lierb that a value uses, itself or by an object that it refers to.
+    """Return the names of lierb's modules that a value, or an object that it refers to, uses.
 
     attributes : attribute names in the code that uses the value.   seen : values visited before.
     """
@@ -114,7 +114,7 @@ def modules_named(value: Any, attributes: set[str], seen: list[tuple[Any, set[st
 
 @dataclass(frozen=True, eq=False)
 class Reference:
-    """Object that a function refers to, its owner, and its content at compilation."""
+    """Hold an object that a function refers to, its owner, and its content at compilation."""
 
     name: str
     owner: Any
@@ -138,7 +138,7 @@ class Reference:
 
 
 def watched(function: Any) -> tuple[Reference, ...]:
-    """References to all objects that a function and its callees were compiled with."""
+    """Return the references to all objects that a function and its callees were compiled with."""
     return tuple(_watched(function, []))
 
 

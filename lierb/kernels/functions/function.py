@@ -1,4 +1,4 @@
-"""Users' functions inside kernels: plain Python, traced like lierb's own formulas.
+"""Kernels trace users' functions, which are plain Python, like lierb's own formulas.
 
 A function runs once, on dual numbers over lane packs, while a kernel is compiled. A function that
 cannot be traced, for example because it branches on numbers, is compiled by Numba and called body
@@ -40,7 +40,7 @@ COMPILED = OPTIONS | {"boundscheck": True, "pipeline_class": CheckedIntegers}
 
 @dataclass(frozen=True)
 class Function:
-    """User's function, as a part of a kernel's tag.
+    """A user's function is a part of a kernel's tag.
 
     form : names of its arguments in the order of its signature: those of `arguments`, "params",
         "body", "states", "controls", "memory".
@@ -104,7 +104,7 @@ class Function:
     def _numbers(
         self, parameters: tuple[Any, ...], arguments: tuple[Any, ...], signals: Signals
     ) -> list[Any]:
-        """Inputs of the function as a list, in the order of `input_shapes`."""
+        """Return the function's inputs as a list, in the order of `input_shapes`."""
         own = parameters if self.takes_body else parameters[: len(self.shapes)]
         taken = tuple(getattr(signals, name) for name, _ in self.namespaces)
         for (name, shapes), values in zip(self.namespaces, taken, strict=True):
@@ -120,23 +120,23 @@ class Function:
 
     @property
     def takes_signals(self) -> bool:
-        """True if the function must be bound to the states and controllers of a problem."""
+        """Return whether the function must be bound to the states and controllers of a problem."""
         return "states" in self.form or "controls" in self.form
 
     @property
     def namespaces(self) -> tuple[tuple[str, Shapes], ...]:
-        """Names of the signals that the function takes, each with its names and shapes."""
+        """Return the kinds of signals that the function takes, each with its names and shapes."""
         return tuple((name, getattr(self, name)) for name in NAMES if name in self.form)
 
     @property
     def input_shapes(self) -> tuple[Shape, ...]:
-        """Shapes of the arguments, the parameters, the body's constants and the signals."""
+        """Return the shapes of arguments, parameters, the body's constants and signals."""
         body = BODY if self.takes_body else ()
         signals = (pair for _, shapes in self.namespaces for pair in shapes)
         return tuple(shape for _, shape in (*self.arguments, *self.shapes, *body, *signals))
 
     def samples(self) -> list[Any]:
-        """Zero arguments in the order of the function's signature."""
+        """Return zero arguments in the order of the function's signature."""
         return self._bundled(repeat(0.0), np.array)
 
     def _bundled(self, flat: Iterable[Any], array: Callable[[Any], Any]) -> list[Any]:
@@ -183,7 +183,7 @@ class Function:
         return parts[0] if len(parts) == 1 else tuple(parts)
 
     def dictionaries(self, result: Any) -> tuple[dict[str, Any], ...]:
-        """Returned dictionaries as a tuple, one for each item of `outputs`."""
+        """Return the returned dictionaries as a tuple, one for each item of `outputs`."""
         are_two = len(self.outputs) == 2
         parts = result if are_two else (result,)
         if (

@@ -1,4 +1,4 @@
-"""Replacements of Python's `math` and built-in functions in traces of users' functions."""
+"""Replace Python's `math` and built-in functions in traces of users' functions."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Random numbers of controllers, each a function of its position in a stream.
+"""Each random number of a controller is a function of its position in a stream.
 
 A draw is a function of (seed, trajectory, name, tick, component) by a counter-based generator,
 Philox-4x32-10 (Salmon, Moraes, Dror, Shaw 2011, "Parallel random numbers: as easy as 1, 2, 3"). It
@@ -142,13 +142,16 @@ def normals(noise: Noise, name: str, count: int) -> list[Any]:
 
 @cache
 def digest(name: str) -> tuple[int, int]:
-    """Digest of a noise's name, as two words of 32 bits."""
+    """Return the digest of a noise's name, as two words of 32 bits."""
     words = int.from_bytes(hashlib.sha256(name.encode()).digest()[:8], "little")
     return words & LOW, words >> 32
 
 
 def philox(counter: Sequence[Any], key: Sequence[Any]) -> tuple[Any, ...]:
-    """Philox-4x32-10: four random words of 32 bits from a counter of four and a key of two."""
+    """Compute Philox-4x32-10, four random words of 32 bits.
+
+    counter : four words.   key : two words.
+    """
     a, b, c, d = counter
     first, second = key
     for _ in range(ROUNDS):
@@ -160,7 +163,7 @@ def philox(counter: Sequence[Any], key: Sequence[Any]) -> tuple[Any, ...]:
 
 
 def uniform(high: Any, low: Any) -> Any:
-    """Uniform (k + ½)/2⁵² in (0, 1), exact, with k the upper 26 bits of two words."""
+    """Return (k + ½)/2⁵², uniform in (0, 1) and exact, with k the upper 26 bits of two words."""
     return (real_of(high >> 6) * 2.0**26 + real_of(low >> 6) + 0.5) * 2.0**-52
 
 
@@ -191,7 +194,9 @@ FAR = (
 
 
 def normal_of(p: Any) -> Any:
-    """Quantile z with Φ(z) = p, 2⁻⁵³ ≤ p ≤ 1 − 2⁻⁵³  (Wichura 1988, algorithm AS 241, PPND16).
+    """Return the quantile z with Φ(z) = p, 2⁻⁵³ ≤ p ≤ 1 − 2⁻⁵³.
+
+    The source is Wichura 1988, algorithm AS 241, PPND16.
 
     Error ≤ 2e-15 of ‖z‖ (test_normal_of_is_the_inverse_of_the_distribution).
     """
@@ -215,7 +220,7 @@ def _ratio(polynomials: tuple[Sequence[float], Sequence[float]], x: Any) -> Any:
 
 
 def _polynomial(terms: Sequence[float], x: Any) -> Any:
-    """Polynomial Σ terms[k] xᵏ without fused operations; `horner` fuses on CPUs that can."""
+    """Evaluate Σ terms[k] xᵏ without fused operations; `horner` fuses on CPUs that can."""
     total: Any = terms[-1]
     for term in terms[-2::-1]:
         total = total * x + term
@@ -229,7 +234,7 @@ EVEN = 3.999999999940941908e-01, 2.222219843214978396e-01, 1.531383769920937332e
 
 
 def logarithm(x: Any) -> Any:
-    """Logarithm for 2⁻⁶³ < x < √2 by fdlibm's series; C libraries differ in the last bits."""
+    """Compute log x for 2⁻⁶³ < x < √2 by fdlibm's series; C libraries differ in the last bits."""
     mantissa, exponent = x, 0.0 * x
     for shift in (32, 16, 8, 4, 2, 1):
         small = mantissa < 2.0 ** (0.5 - shift)

@@ -1,4 +1,4 @@
-"""NumPy functions written out for traced numbers: choices, norms, small matrices."""
+"""Choices, norms and functions of small matrices are written out for traced numbers."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Replacements of NumPy's modules, constructors and functions in traces."""
+"""Replace NumPy's modules, constructors and functions in traces."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ _FLOATS: dict[type, type] = {np.float64: Float}
 
 
 class Spoken:
-    """NumPy function that also takes lists of traced numbers."""
+    """A NumPy function in a trace also takes lists of traced numbers."""
 
     def __init__(self, function: Any) -> None:
         self.function = function
@@ -79,7 +79,7 @@ def _gathered(x: Any) -> Any:
 
 
 class Library:
-    """NumPy module whose functions take traced numbers."""
+    """The functions of this NumPy module take traced numbers."""
 
     def __init__(self, module: types.ModuleType) -> None:
         self.__dict__["module"] = module

@@ -1,4 +1,4 @@
-"""Arrays of traced numbers in users' functions, and NumPy functions of these arrays.
+"""NumPy functions work on arrays of traced numbers in users' functions.
 
 NumPy delegates its functions to the class of the arrays. Elementwise functions then run number by
 number, comparisons return conditions, and linear algebra of small matrices is written out. NumPy
@@ -21,11 +21,11 @@ TRACED = (UserNumber, Condition)
 
 
 class UntraceableError(TypeError):
-    """Error for a NumPy function that does not take lane packs."""
+    """A NumPy function does not take lane packs."""
 
 
 class Numbers(np.ndarray):
-    """Array of objects, some of which are traced numbers or conditions."""
+    """Some of the objects in this array are traced numbers or conditions."""
 
     def __array_ufunc__(self, ufunc: Any, method: str, *inputs: Any, **options: Any) -> Any:
         return _apply(ufunc, method, inputs, options)

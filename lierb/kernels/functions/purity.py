@@ -1,4 +1,4 @@
-"""Refusal of users' functions that depend on more than their arguments, while they are traced.
+"""Refuse users' functions that depend on more than their arguments, while they are traced.
 
 `lierb.kernels.functions.refusals` checks a function's code before it runs. Here the function runs
 twice. Both runs must give the same trace, must not draw from random generators, and must not call a
@@ -64,7 +64,7 @@ def _other_states(tried: int) -> Iterator[None]:
 
 
 class _DrawingError(UnfitFunctionError):
-    """Error for random numbers that any thread drew during a trace."""
+    """A thread drew random numbers during a trace."""
 
 
 @contextmanager
@@ -101,7 +101,7 @@ def _random_states() -> tuple[Any, ...]:
 
 
 class _Calls:
-    """Profiler that refuses calls by which a user's function depends on more than its arguments."""
+    """A profiler refuses calls by which a user's function depends on more than its arguments."""
 
     refused: str | None = None
 
@@ -145,7 +145,7 @@ _SYSTEM = (
 
 
 def _users_line(frame: types.FrameType | None) -> str | None:
-    """Line of the user's function that made a call; None for a call by trusted code."""
+    """Return the line of the user's function that made a call; None for a call by trusted code."""
     while frame is not None:
         if MARK in frame.f_globals:
             return at(frame.f_code, frame.f_lineno)

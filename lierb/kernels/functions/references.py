@@ -1,4 +1,4 @@
-"""Names in the code of users' functions, and the values of these names."""
+"""Find the names in the code of users' functions, and the values of these names."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ KNOWN = {
 
 
 class UnfitFunctionError(TypeError):
-    """Error for a user's function that lierb cannot run in its kernels."""
+    """A user's function cannot run in lierb's kernels."""
 
 
 def references(function: Any) -> Iterator[tuple[str, Any]]:
@@ -59,7 +59,7 @@ def codes(code: types.CodeType) -> Iterator[types.CodeType]:
 
 
 def attributes_of(function: Any) -> set[str]:
-    """Names that may occur as attributes in a function's code."""
+    """Return the names that may occur as attributes in a function's code."""
     return {name for code in codes(function.__code__) for name in code.co_names}
 
 

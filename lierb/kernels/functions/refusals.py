@@ -1,4 +1,4 @@
-"""Refusal of users' functions whose code depends on more than their arguments."""
+"""Refuse users' functions whose code depends on more than their arguments."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Checked results of users' functions: numbers and vectors of the expected shapes."""
+"""Check that users' functions return numbers and vectors of the expected shapes."""
 
 from __future__ import annotations
 

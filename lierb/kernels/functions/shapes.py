@@ -1,4 +1,4 @@
-"""Types of users' functions, and shapes of their arguments, parameters and results."""
+"""Arguments, parameters and results of users' functions have types and shapes."""
 
 from __future__ import annotations
 

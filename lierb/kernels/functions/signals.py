@@ -1,4 +1,4 @@
-"""Inputs of users' functions besides the motion: states, control outputs, memory, noise."""
+"""Users' functions have inputs besides the motion: states, control outputs, memory, noise."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 
 class Signals(NamedTuple):
-    """Signals at one time, as flat sequences in the order of the problem's elements.
+    """Hold the signals at one time, as flat sequences in the order of the problem's elements.
 
     states : all extra states.   controls : outputs of all controllers, constant between ticks.
     memory : memory of all controllers; in a controller's call, its own memory only.
@@ -22,7 +22,7 @@ NAMES = Signals._fields
 
 
 class Noise(NamedTuple):
-    """Three whole numbers that, with a name, determine a controller's random numbers."""
+    """Three whole numbers and a name determine a controller's random numbers."""
 
     seed: Any
     trajectory: Any

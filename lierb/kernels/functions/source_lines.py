@@ -1,4 +1,4 @@
-"""Descriptions of lines of users' source, for messages."""
+"""Describe lines of users' source in messages."""
 
 from __future__ import annotations
 

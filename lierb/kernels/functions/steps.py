@@ -1,4 +1,4 @@
-"""Piecewise functions of users' numbers: rounding, remainders, extremes, tables."""
+"""Rounding, remainders, extremes and tables are piecewise functions of users' numbers."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ from lierb.kernels.functions.user_number import (
     combined,
     define,
     inverted,
+    note_switch,
     raw,
     selected,
     value_of,
@@ -38,6 +39,7 @@ def _steps(name: str, of: Callable[[Any], Any]) -> Callable[[Any], Any]:
     """Make a step function, whose derivative is zero."""
 
     def function(x: Any) -> Any:
+        note_switch(x)
         return UserNumber(of(raw(x))) if isinstance(x, (UserNumber, Condition)) else of(x)
 
     function.__name__ = name
@@ -67,6 +69,7 @@ def _of_two(
     def function(x: Any, y: Any) -> Any:
         if not any(isinstance(n, (Dual, Condition)) for n in (x, y)):
             return of(x, y)
+        note_switch(x, y)
         value = function(value_of(x), value_of(y))
         if not (parts_of(x) or parts_of(y)):
             return UserNumber(value)
@@ -153,22 +156,22 @@ def logaddexp(a: Any, b: Any) -> Any:
 
 
 def maximum(a: Any, b: Any) -> Any:
-    """Larger of two numbers; NaN if either is."""
+    """Return the larger of two numbers; NaN if either is."""
     return choice((raw(a) >= raw(b)) | isnan(raw(a)), a, b)
 
 
 def minimum(a: Any, b: Any) -> Any:
-    """Smaller of two numbers; NaN if either is."""
+    """Return the smaller of two numbers; NaN if either is."""
     return choice((raw(a) <= raw(b)) | isnan(raw(a)), a, b)
 
 
 def fmax(a: Any, b: Any) -> Any:
-    """Larger of two numbers; the other if one is NaN."""
+    """Return the larger of two numbers; the other if one is NaN."""
     return choice((raw(a) >= raw(b)) | isnan(raw(b)), a, b)
 
 
 def fmin(a: Any, b: Any) -> Any:
-    """Smaller of two numbers; the other if one is NaN."""
+    """Return the smaller of two numbers; the other if one is NaN."""
     return choice((raw(a) <= raw(b)) | isnan(raw(b)), a, b)
 
 
@@ -186,7 +189,8 @@ sign = _steps("sign", _signum)
 
 
 def heaviside(x: Any, at_zero: Any) -> Any:
-    """Step function: 0 below zero, 1 above, `at_zero` at zero."""
+    """Return 0 below zero, 1 above, and `at_zero` at zero."""
+    note_switch(x)
     step = _signum(raw(x))
     value = choice(step > 0.0, 1.0, choice(step < 0.0, 0.0, choice(step == 0.0, at_zero, step)))
     return UserNumber(value) if isinstance(value, Lane) else value

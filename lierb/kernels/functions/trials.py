@@ -17,7 +17,7 @@ from lierb.kernels.functions.purity import require_pure_code, require_repeatable
 from lierb.kernels.functions.returned_values import as_array
 from lierb.kernels.functions.shapes import Shapes
 from lierb.kernels.functions.signals import Noise, Signals
-from lierb.kernels.functions.user_number import Condition
+from lierb.kernels.functions.user_number import Condition, UserNumber, noted_switches
 from lierb.kernels.numbers.arithmetic import flatten
 from lierb.kernels.tracing import trace
 
@@ -39,7 +39,7 @@ def trial(function: Function) -> int:
 
 @lru_cache(256)
 def outputs_of(function: Function) -> Shapes:
-    """Names and shapes of the function's first returned dictionary, determined by a trial."""
+    """Return the names and shapes of the function's first returned dictionary, by a trial."""
 
     def call(*inputs: Any) -> Any:
         first = function.dictionaries(function.returned(*inputs))[0]
@@ -55,6 +55,35 @@ def returns_condition(function: Function) -> bool:
 
     def call(*inputs: Any) -> Any:
         return (), isinstance(function.returned(*inputs), (Condition, bool, np.bool_))
+
+    return bool(_traced_twice(function, call))
+
+
+@lru_cache(256)
+def switches(function: Function, times: tuple[str, ...] = ()) -> bool:
+    """Return whether a traced function compares numbers of the motion or parameters, or jumps.
+
+    Comparisons of the time alone, and of parameters that are times, do not count.
+
+    times : names of these parameters.
+    """
+    noted_switches()
+
+    def marked(value: Any, is_marked: bool) -> Any:
+        if isinstance(value, tuple):
+            return tuple(marked(x, is_marked) for x in value)
+        return UserNumber(value, (1.0,)) if is_marked else value
+
+    def call(own: Any, arguments: Any, signals: Signals, noise: Noise | None) -> Any:
+        of_motion = [n != "t" for n, shape in function.arguments for _ in range(math.prod(shape))]
+        of_motion_marked = tuple(map(marked, arguments, of_motion))
+        names = [name for name, _ in function.shapes]
+        parameters = tuple(
+            marked(x, i >= len(names) or names[i] not in times) for i, x in enumerate(own)
+        )
+        known = Signals(*marked(tuple(signals), True))
+        function.returned(parameters, of_motion_marked, known, noise)
+        return (), noted_switches()
 
     return bool(_traced_twice(function, call))
 

@@ -1,4 +1,4 @@
-"""Numbers of users' functions: dual numbers with all operators, methods and comparisons.
+"""Users' functions compute with dual numbers, which have all operators, methods, comparisons.
 
 Comparisons return conditions, one truth value for each body. A number without parts has no
 derivatives. The modules `elementary` and `steps` add the operators that need their functions, such
@@ -31,7 +31,7 @@ NO_PLAIN_NUMBER = (
 
 
 class UserNumber(Dual):
-    """Dual number of a user's function.
+    """A user's number is a dual number in a user's function.
 
     factors : the two factors if the number is a product, () otherwise; a sum fuses them.
     """
@@ -130,8 +130,23 @@ class UserNumber(Dual):
     __int__ = __index__ = __complex__ = __float__
 
 
+_switches: list[bool] = []  # for each comparison and jump of the function that is traced
+
+
+def note_switch(*operands: Any) -> None:
+    """Note a comparison or a jump, and whether it depends on numbers with derivatives."""
+    _switches.append(any(parts_of(x) for x in operands))
+
+
+def noted_switches() -> bool:
+    """Return whether any noted switch depends on numbers with derivatives; forget all of them."""
+    depends = any(_switches)
+    _switches.clear()
+    return depends
+
+
 class Condition:
-    """Result of a comparison of numbers: true or false for each body.
+    """A condition, the result of a comparison, is true or false for each body.
 
     &, |, ^ and ~ combine conditions, and arithmetic takes one as 1 or 0, as in NumPy.
     """
@@ -189,7 +204,10 @@ def inverted(mask: Any) -> Any:
 
 
 def _compared(a: UserNumber, b: Any, holds: Callable[[Any, Any], Any]) -> Any:
-    return Condition(holds(raw(a), raw(b))) if _is_number(b) else NotImplemented
+    if not _is_number(b):
+        return NotImplemented
+    note_switch(a, b)
+    return Condition(holds(raw(a), raw(b)))
 
 
 def raw(x: Any) -> Any:
@@ -225,7 +243,7 @@ def combined(a: Any, b: Any, operation: Callable[[Any, Any], Any], left: Any, ri
 
 
 def kind_of(*numbers: Any) -> type[Dual]:
-    """Class of a result: UserNumber if an operand is one, Dual in the values of such numbers."""
+    """Return a result's class: UserNumber if an operand is one, Dual in values of such numbers."""
     return UserNumber if any(isinstance(x, UserNumber) for x in numbers) else Dual
 
 
@@ -327,7 +345,7 @@ def as_condition(x: Any) -> Any:
 
 
 class Float(float):
-    """Replacement of `float` that leaves traced numbers unchanged."""
+    """Replace `float`, but leave traced numbers unchanged."""
 
     def __new__(cls, x: Any = 0.0) -> Any:
         return x if isinstance(x, Dual) else float(x)

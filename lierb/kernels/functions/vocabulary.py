@@ -1,4 +1,4 @@
-"""Functions that lierb provides for users' functions: rotations, bounds, tables.
+"""lierb provides functions for users' functions: rotations, bounds, tables.
 
 Each function takes traced numbers and NumPy arrays of any batch shape. In users' functions that run
 body by body, Numba compiles it.
@@ -29,7 +29,7 @@ TERMS = 30  # of the series; the first omitted is below 1e-18, also of two deriv
 
 
 class UnfitArgumentError(UnfitFunctionError, ValueError):
-    """Error for an invalid argument of these functions; a ValueError outside of kernels, too."""
+    """An argument of these functions is invalid; this is a ValueError outside of kernels, too."""
 
 
 def clip(x: Any, lower: Any, upper: Any) -> Any:
@@ -176,7 +176,10 @@ def _real(argument: str, value: Any) -> np.ndarray:
 
 
 def unit_quaternion(r: Mat) -> Vec:
-    """Unit quaternion (w, x, y, z), w ≥ 0, with the derivative ½ q ⊗ (0, ω) for Ṙ = R ω̂."""
+    """Return the unit quaternion (w, x, y, z), w ≥ 0.
+
+    Its derivative is ½ q ⊗ (0, ω) for Ṙ = R ω̂.
+    """
     if not _has_parts(r):
         q = so3.quaternion(tuple(map(raw, r)))
         return _as_traced(r, scale(1.0 / norm(q), q))
@@ -202,7 +205,7 @@ def _rate(q: Vec, r: Mat, rate: Mat) -> Vec:
 
 
 def rotation_vector(r: Mat) -> Vec:
-    """Rotation vector ξ with exp ξ = R, ‖ξ‖ ≤ π."""
+    """Return the rotation vector ξ with exp ξ = R, ‖ξ‖ ≤ π."""
     if not _has_parts(r):
         return _as_traced(r, so3.log(tuple(map(raw, r))))
     w, *v = unit_quaternion(r)
@@ -223,7 +226,7 @@ def _has_parts(members: Sequence[Any]) -> bool:
 
 
 def _along_each(members: Sequence[Any]) -> list[Vec]:
-    """Derivatives of several numbers, as a list over the directions."""
+    """Return the derivatives of several numbers, as a list over the directions."""
     count = max(len(parts_of(x)) for x in members)
     parts = [parts_of(x) or (0.0,) * count for x in members]
     return [tuple(map(plain, direction)) for direction in zip(*parts, strict=True)]

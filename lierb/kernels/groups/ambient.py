@@ -1,4 +1,4 @@
-"""SE(3) in the algebra of dual quaternions: coordinates of a step in an ambient update.
+"""An ambient update of SE(3) works in the algebra of dual quaternions.
 
 The motion since the chart C₀ is a dual quaternion 1 + Y = u + ε w, which need not be of unit
 length. Its rate is linear in it, Ẏ = ½ (1 + Y) V, so that a step needs neither exp nor dexp⁻¹. The
@@ -68,7 +68,7 @@ def fall(y: Vec, gravity: Vec) -> Vec:
 
 
 def place(c: Chart, y: Vec, twice: Any) -> Vec:
-    """Position d of C₀ (1 + Y)/‖1 + Y‖.   twice : 2/‖u‖²."""
+    """Return the position d of C₀ (1 + Y)/‖1 + Y‖.   twice : 2/‖u‖²."""
     return add(c[1], rotated(c[0], scale(twice, _displacement(y))))
 
 
@@ -79,7 +79,7 @@ def _displacement(y: Vec) -> Vec:
 
 
 def turned(p: Quaternion, y: Vec) -> Mat:
-    """Matrix of the rotation p u/‖u‖ at a stage."""
+    """Return the matrix of the rotation p u/‖u‖ at a stage."""
     if is_zero(*y[:4]):
         return matrix(p)
     moved = composed(p, y[:4])

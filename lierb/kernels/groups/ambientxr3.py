@@ -1,4 +1,4 @@
-"""SO(3)×R³ with quaternions of any length: coordinates of a step, as in `ambient`.
+"""An ambient update of SO(3)×R³ works with quaternions of any length, as in `ambient`.
 
 Y has eight numbers, so that both groups have the same columns: u − 1, zero, and s/2 of the
 displacement s.
@@ -25,7 +25,7 @@ def fall(y: Vec, gravity: Vec) -> Vec:
 
 
 def place(c: Chart, y: Vec, twice: Any) -> Vec:
-    """Position of the pose at Y."""
+    """Return the position of the pose at Y."""
     return axpy(2.0, y[5:], c[1])
 
 

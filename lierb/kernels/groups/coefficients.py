@@ -1,4 +1,4 @@
-"""Scalar functions of θ², θ = ‖ξ‖, in the formulas of exp, dexp and dexp⁻¹.
+"""The formulas of exp, dexp and dexp⁻¹ need these scalar functions of θ², θ = ‖ξ‖.
 
     sinc = sin θ/θ     a = (1 − cos θ)/θ²      b = (θ − sin θ)/θ³
     a₁ = a′/θ          b₁ = b′/θ
@@ -36,6 +36,7 @@ from lierb.kernels.numbers.arithmetic import (
     taken_for_granted,
     where,
 )
+from lierb.kernels.numbers.dual import by_chain_rule
 from lierb.kernels.numbers.number import Number
 from lierb.kernels.numbers.trigonometry import SINCOS_RANGE, sincos
 from lierb.kernels.numbers.vec import Vec
@@ -98,7 +99,7 @@ def coefficients(z: Number) -> Coefficients:
 
 
 class HalfAngleCoefficients(NamedTuple):
-    """Coefficient functions of φ = θ/2, for formulas in ξ/2."""
+    """Hold the coefficient functions of φ = θ/2, for formulas in ξ/2."""
 
     cos_minus_1: Number  # cos φ − 1
     sinc: Number  # sinc φ
@@ -109,8 +110,9 @@ class HalfAngleCoefficients(NamedTuple):
     c116: Number  # 16 c₁(θ)
 
 
+@by_chain_rule
 def half_angle_coefficients(z: Number) -> HalfAngleCoefficients:
-    """Coefficient functions at z = φ², for a time step.
+    """Return the coefficient functions at z = φ², for a time step.
 
     Up to θ = 0.0215 rad, three terms (four for sinc θ) truncate exp X and dexp⁻¹ V by less than
     2⁻⁵⁴. A coefficient itself may have an error of 3e-15, but it multiplies a small angle. Beyond
@@ -168,7 +170,7 @@ def _half_taylor(z: Number, terms: int, cuts: Cuts) -> Vec:
 
 
 def _sinc_series(z: Number, series: tuple[float, ...], terms: int, cuts: Cuts) -> Number:
-    """Series of sinc θ, with one term more than the others for tiny angles."""
+    """Sum the series of sinc θ, with one term more than the others for tiny angles."""
 
     def terms_of(terms: int) -> int:
         return terms + (terms == TINY_TERMS)
@@ -177,7 +179,7 @@ def _sinc_series(z: Number, series: tuple[float, ...], terms: int, cuts: Cuts) -
 
 
 def _pole_series(z: Number, series: tuple[float, ...], terms: int, cuts: Cuts) -> Number:
-    """Series of c₀ or c₁, with all its terms for medium angles."""
+    """Sum the series of c₀ or c₁, with all its terms for medium angles."""
     return horner(z, series if terms == MEDIUM_TERMS else series[:terms], cuts)
 
 
@@ -201,7 +203,10 @@ def _half_anywhere(z: Number) -> Vec:
 
 
 def _half_entire(z: Number) -> Vec:
-    """Functions up to π from a = (1 − cos φ)/φ² and g = (sinc φ − cos φ)/φ²; 4c₀ = g/sinc φ."""
+    """Compute the functions for angles up to π.
+
+    They follow from a = (1 − cos φ)/φ² and g = (sinc φ − cos φ)/φ²; 4c₀ = g/sinc φ.
+    """
     a, g = horner(z, A_TERMS[:10]), horner(z, G_TERMS)
     cos = 1.0 - z * a
     sinc = fma(z, g, cos)

@@ -1,4 +1,4 @@
-"""Motion since the chart C₀, in the coordinates of a step: what the equations of motion need of it.
+"""An increment is the motion since the chart C₀, in the coordinates of a step.
 
 `Exponential` holds X of C = C₀ exp X, `Ambient` holds Y of C = C₀ (1 + Y)/‖1 + Y‖.
 """
@@ -15,32 +15,32 @@ from lierb.kernels.numbers.vec import Vec, neg
 
 
 class Increment(Protocol):
-    """Motion since a chart.   c : the chart."""
+    """An increment is the motion since a chart.   c : the chart."""
 
     def rotate(self, x: Vec) -> Vec:
-        """Components of x in the axes of the chart, from body axes."""
+        """Transform x from body axes to the axes of the chart."""
 
     def rotate_back(self, x: Vec) -> Vec:
-        """Components of x in body axes, from the axes of the chart."""
+        """Transform x from the axes of the chart to body axes."""
 
     def fall(self, gravity: Vec) -> Vec:
-        """Gravity in body axes, from the axes of the chart."""
+        """Transform gravity from the axes of the chart to body axes."""
 
     def place(self, c: Chart) -> Vec:
-        """Position, m."""
+        """Return the position, m."""
 
     def pose(self, c: Chart) -> Pose:
-        """Pose, with a rotation matrix."""
+        """Return the pose, with a rotation matrix."""
 
     def moved(self, c: Chart) -> Chart:
-        """Chart at the end of a step."""
+        """Return the chart at the end of a step."""
 
     def rate(self, velocity: Vec) -> Vec:
-        """Rate of the coordinates, from V; doubled, as the state has X/2 and Y."""
+        """Return twice the rate of the coordinates, from V, as the state has X/2 and Y."""
 
 
 class Exponential(NamedTuple):
-    """Motion exp X.   charts : formulas of the group.   x : X/2.   k : at its angle."""
+    """The increment is exp X.   charts : formulas of the group.   x : X/2.   k : at its angle."""
 
     charts: ModuleType
     x: Vec
@@ -76,7 +76,10 @@ class Exponential(NamedTuple):
 
 
 class Ambient(NamedTuple):
-    """Motion (1 + Y)/‖1 + Y‖.   charts : formulas of the group.   y : Y.   twice : 2/‖u‖²."""
+    """The increment is (1 + Y)/‖1 + Y‖.
+
+    charts : formulas of the group.   y : Y.   twice : 2/‖u‖².
+    """
 
     charts: ModuleType
     y: Vec

@@ -1,4 +1,4 @@
-"""Lie-group functions on arrays, row by row."""
+"""Apply Lie-group functions to arrays, row by row."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class LieFunction(Tag):
 
 
 def width(group: str, kind: str) -> int:
-    """Number of components in a row: a vector, or a 3×3 or 4×4 matrix."""
+    """Return the number of components in a row: a vector, or a 3×3 or 4×4 matrix."""
     if kind == "x":
         return 3 if group == "so3" else 6
     return 9 if group == "so3" else 16

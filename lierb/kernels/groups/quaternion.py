@@ -1,4 +1,4 @@
-"""SE(3) with a unit quaternion for the rotation: formulas of `se3` that a step evaluates.
+"""A step evaluates the formulas of `se3` with a unit quaternion for the rotation.
 
 C = (p, r) with p = (w, v) of unit length; p and −p are the same rotation, R(p). A vector X = (ξ, η)
 of the algebra is stored as Y = (υ, ν) = X/2: exp ξ = R(cos φ, sinc φ υ) with φ = ‖υ‖ = θ/2. Hence a
@@ -20,13 +20,13 @@ Chart = tuple[Quaternion, Vec]
 
 
 def of_matrix(r: Mat) -> Quaternion:
-    """Unit quaternion p of a rotation, with w ≥ 0."""
+    """Return the unit quaternion p of a rotation, with w ≥ 0."""
     p = so3.quaternion(r)
     return scale(1.0 / norm(p), p)
 
 
 def from_pose(c: Pose) -> Chart:
-    """Chart (p, r) of the pose (R, r), an element of `se3.compose`'s group."""
+    """Return the chart (p, r) of the pose (R, r), an element of `se3.compose`'s group."""
     return of_matrix(c[0]), c[1]
 
 
@@ -35,7 +35,7 @@ def pose(c: Chart) -> Pose:
 
 
 def matrix(p: Quaternion, twice: Any = None) -> Mat:
-    """Matrix R(p), a rotation even if p is not of unit length due to rounding.
+    """Return the matrix R(p), a rotation even if p is not of unit length due to rounding.
 
     twice : 2/‖p‖², for a p of any length.
     """
@@ -50,7 +50,9 @@ def matrix(p: Quaternion, twice: Any = None) -> Mat:
 
 
 def normalised(p: Quaternion) -> Quaternion:
-    """Unit quaternion nearest to a p with rounding errors, as `so3.orthonormalised` for R.
+    """Return the unit quaternion nearest to a p with rounding errors.
+
+    `so3.orthonormalised` does the same for R.
 
     The correction is added to p. A product with a factor near 1 would round p, and hence its axis,
     once more, in the same direction in each step.
@@ -59,7 +61,7 @@ def normalised(p: Quaternion) -> Quaternion:
 
 
 def product(p: Quaternion, x: Vec) -> Quaternion:
-    """Quaternion product p (0, x)."""
+    """Return the quaternion product p (0, x)."""
     w, v = p[0], p[1:]
     return (-dot(v, x), *cross_add(v, x, scale(w, x)))
 
@@ -77,7 +79,7 @@ def rotated_back(p: Quaternion, x: Vec) -> Vec:
 
 
 def angle_coefficients(y: Vec) -> HalfAngleCoefficients:
-    """Coefficient functions at φ = ‖υ‖, shared by the functions below."""
+    """Return the coefficient functions at φ = ‖υ‖, shared by the functions below."""
     return half_angle_coefficients(dot(y[:3], y[:3]))
 
 

@@ -1,4 +1,4 @@
-"""SO(3)×R³ with a unit quaternion for the rotation and Y = X/2 for X, as in `quaternion`."""
+"""SO(3)×R³ is stored with a unit quaternion for the rotation and Y = X/2, as in `quaternion`."""
 
 from __future__ import annotations
 

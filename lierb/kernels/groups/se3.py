@@ -1,4 +1,6 @@
-"""Rigid motions SE(3). C = (R, r), r in m; X = (ξ, η) and V = (ω, v), angular part first.
+"""SE(3) is the group of rigid motions.
+
+C = (R, r), r in m; X = (ξ, η) and V = (ω, v), angular part first.
 
 These are the paper's formulas. A step evaluates them on unit quaternions and X/2, in `quaternion`.
 """
@@ -26,12 +28,12 @@ identity: Pose = (so3.identity, ZERO3)
 
 
 def angle_coefficients(x: Vec) -> Coefficients:
-    """Coefficient functions at θ = ‖ξ‖, shared by the functions below."""
+    """Return the coefficient functions at θ = ‖ξ‖, shared by the functions below."""
     return _angle_coefficients(x[:3])
 
 
 def compose(c1: Pose, c2: Pose) -> Pose:
-    """Product (R₁R₂, r₁ + R₁r₂).
+    """Return the product (R₁R₂, r₁ + R₁r₂).
 
     The chart C₀ of a run holds a quaternion for R, `quaternion.from_pose`, and a step updates it by
     `quaternion.compose_exp`.
@@ -40,13 +42,13 @@ def compose(c1: Pose, c2: Pose) -> Pose:
 
 
 def inverse(c: Pose) -> Pose:
-    """Inverse (Rᵀ, −Rᵀr); the paper prints R for Rᵀ (errata E5)."""
+    """Return the inverse (Rᵀ, −Rᵀr); the paper prints R for Rᵀ (errata E5)."""
     rt = so3.inverse(c[0])
     return rt, neg(mat_vec(rt, c[1]))
 
 
 def exp(x: Vec, k: Coefficients | None = None) -> Pose:
-    """Exponential (exp ξ, dexp_ξ η)  (Müller, eq. expX).
+    """Return the exponential (exp ξ, dexp_ξ η)  (Müller, eq. expX).
 
     A step evaluates C exp X by `quaternion.compose_exp`, and by `turns.compose_exp` if the node of
     a mechanism turns about one axis.
@@ -71,12 +73,14 @@ def Ad(c: Pose, x: Vec) -> Vec:
 
 
 def ad(x: Vec, y: Vec) -> Vec:
-    """Bracket [X, Y] = (ξ×ξ′, ξ×η′ + η×ξ′)  (Müller, eq. adse3)."""
+    """Return the bracket [X, Y] = (ξ×ξ′, ξ×η′ + η×ξ′)  (Müller, eq. adse3)."""
     return cross(x[:3], y[:3]) + cross_add(x[:3], y[3:], cross(x[3:], y[:3]))
 
 
 def dexp(x: Vec, v: Vec, k: Coefficients | None = None) -> Vec:
-    """Right-trivialised differential of exp, [[A, 0], [Q, A]], where A is dexp of SO(3) and
+    """Apply the right-trivialised differential of exp, [[A, 0], [Q, A]].
+
+    A is dexp of SO(3), and
 
     Q = a η̂ + b (η̂ξ̂ + ξ̂η̂) + (ξ·η)(a₁ ξ̂ + b₁ ξ̂²).
     """
@@ -91,7 +95,9 @@ def dexp(x: Vec, v: Vec, k: Coefficients | None = None) -> Vec:
 
 
 def dexpinv(x: Vec, v: Vec, k: Coefficients | None = None) -> Vec:
-    """Inverse of dexp, [[B, 0], [U, B]], where B is dexp⁻¹ of SO(3), ‖ξ‖ < 2π, and
+    """Apply the inverse of dexp, [[B, 0], [U, B]].
+
+    B is dexp⁻¹ of SO(3), ‖ξ‖ < 2π, and
 
     U = −½ η̂ + c₀ (η̂ξ̂ + ξ̂η̂) + (ξ·η) c₁ ξ̂².
 

@@ -1,4 +1,6 @@
-"""The rotation group SO(3). R: 9 entries row by row; ξ, ω: 3 components, rad and rad/s.
+"""SO(3) is the rotation group.
+
+R: 9 entries row by row; ξ, ω: 3 components, rad and rad/s.
 
 These are the paper's formulas. A step evaluates them on unit quaternions, in `quaternion`.
 """
@@ -31,22 +33,22 @@ identity: Mat = IDENTITY
 
 
 def angle_coefficients(xi: Vec) -> Coefficients:
-    """Coefficient functions at θ = ‖ξ‖, shared by the functions below."""
+    """Return the coefficient functions at θ = ‖ξ‖, shared by the functions below."""
     return coefficients(dot(xi, xi))
 
 
 def compose(r1: Mat, r2: Mat) -> Mat:
-    """R₁ R₂."""
+    """Return R₁ R₂."""
     return mat_mat(r1, r2)
 
 
 def inverse(r: Mat) -> Mat:
-    """R⁻¹ = Rᵀ."""
+    """Return R⁻¹ = Rᵀ."""
     return transpose(r)
 
 
 def exp(xi: Vec, k: Coefficients | None = None) -> Mat:
-    """Rotation by ‖ξ‖ about ξ: I + sinc ξ̂ + a ξ̂² (Rodrigues).
+    """Return the rotation by ‖ξ‖ about ξ: I + sinc ξ̂ + a ξ̂² (Rodrigues).
 
     A step evaluates R exp ξ by `quaternion.turned`.
     """
@@ -54,7 +56,7 @@ def exp(xi: Vec, k: Coefficients | None = None) -> Mat:
 
 
 def _exp_minus_identity(xi: Vec, k: Coefficients) -> Mat:
-    """sinc ξ̂ + a ξ̂²."""
+    """Return sinc ξ̂ + a ξ̂²."""
     x, y, z = xi
     ax, ay, az = scale(k.a, xi)
     sx, sy, sz = scale(k.sinc, xi)
@@ -67,7 +69,7 @@ def _exp_minus_identity(xi: Vec, k: Coefficients) -> Mat:
 
 
 def orthonormalised(q: Mat) -> Mat:
-    """Rotation nearest to a Q with rounding errors: Q (3 I − QᵀQ)/2.
+    """Return the rotation nearest to a Q with rounding errors: Q (3 I − QᵀQ)/2.
 
     A run applies `quaternion.normalised` to the quaternion instead.
     """
@@ -76,7 +78,7 @@ def orthonormalised(q: Mat) -> Mat:
 
 
 def quaternion(r: Mat) -> tuple[Any, ...]:
-    """Quaternion (w, x, y, z) of a rotation with w ≥ 0, of any length.
+    """Return the quaternion (w, x, y, z) of a rotation with w ≥ 0, of any length.
 
     The largest component is computed first, so that no digits cancel at any angle.
     """
@@ -111,19 +113,22 @@ def Ad(r: Mat, x: Vec) -> Vec:
 
 
 def ad(x: Vec, y: Vec) -> Vec:
-    """[x, y] = x × y."""
+    """Return [x, y] = x × y."""
     return cross(x, y)
 
 
 def dexp(xi: Vec, w: Vec, k: Coefficients | None = None) -> Vec:
-    """Right-trivialised differential of exp: w + a ξ×w + b ξ×(ξ×w)  (Müller, eq. dexpSO3)."""
+    """Apply the right-trivialised differential of exp.
+
+    It is w + a ξ×w + b ξ×(ξ×w)  (Müller, eq. dexpSO3).
+    """
     k = k or angle_coefficients(xi)
     xw = cross(xi, w)
     return axpy(k.b, cross(xi, xw), axpy(k.a, xw, w))
 
 
 def dexpinv(xi: Vec, w: Vec, k: Coefficients | None = None) -> Vec:
-    """Inverse of dexp: w − ½ ξ×w + c₀ ξ×(ξ×w), ‖ξ‖ < 2π  (Müller, eq. dexpInvSO3).
+    """Apply the inverse of dexp: w − ½ ξ×w + c₀ ξ×(ξ×w), ‖ξ‖ < 2π  (Müller, eq. dexpInvSO3).
 
     A step evaluates `quaternion.dexpinv_so3` on ξ/2.
     """

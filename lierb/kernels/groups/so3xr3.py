@@ -1,4 +1,6 @@
-"""Direct product SO(3)×R³. C = (R, r); X = (ξ, η) and V = (ω, ṙ), angular part first.
+"""SO(3)×R³ is the direct product of rotations and translations.
+
+C = (R, r); X = (ξ, η) and V = (ω, ṙ), angular part first.
 
 Rotation and translation are independent, as with rotation parameters and a position vector. A step
 evaluates these formulas on unit quaternions, in `quaternionxr3`.
@@ -16,12 +18,12 @@ identity: Pose = (so3.identity, ZERO3)
 
 
 def angle_coefficients(x: Vec) -> Coefficients:
-    """Coefficient functions at θ = ‖ξ‖, shared by the functions below."""
+    """Return the coefficient functions at θ = ‖ξ‖, shared by the functions below."""
     return _angle_coefficients(x[:3])
 
 
 def compose(c1: Pose, c2: Pose) -> Pose:
-    """Product (R₁R₂, r₁ + r₂)  (Müller, eq. MultDirectProduct).
+    """Return the product (R₁R₂, r₁ + r₂)  (Müller, eq. MultDirectProduct).
 
     A step updates the chart by `quaternionxr3.compose_exp`.
     """
@@ -29,12 +31,12 @@ def compose(c1: Pose, c2: Pose) -> Pose:
 
 
 def inverse(c: Pose) -> Pose:
-    """Inverse (Rᵀ, −r)."""
+    """Return the inverse (Rᵀ, −r)."""
     return so3.inverse(c[0]), neg(c[1])
 
 
 def exp(x: Vec, k: Coefficients | None = None) -> Pose:
-    """Exponential (exp ξ, η)  (Müller, eq. expSO3xR3).
+    """Return the exponential (exp ξ, η)  (Müller, eq. expSO3xR3).
 
     A step evaluates C exp X by `quaternionxr3.compose_exp`.
     """
@@ -52,17 +54,20 @@ def Ad(c: Pose, x: Vec) -> Vec:
 
 
 def ad(x: Vec, y: Vec) -> Vec:
-    """Bracket [X, Y] = (ξ×ξ′, 0)  (Müller, eq. adSO3R3)."""
+    """Return the bracket [X, Y] = (ξ×ξ′, 0)  (Müller, eq. adSO3R3)."""
     return cross(x[:3], y[:3]) + ZERO3
 
 
 def dexp(x: Vec, v: Vec, k: Coefficients | None = None) -> Vec:
-    """Right-trivialised differential of exp, diag(dexp_ξ, I)  (Müller, eq. dexpSO3xR3)."""
+    """Apply the right-trivialised differential of exp.
+
+    It is diag(dexp_ξ, I)  (Müller, eq. dexpSO3xR3).
+    """
     return so3.dexp(x[:3], v[:3], k) + v[3:]
 
 
 def dexpinv(x: Vec, v: Vec, k: Coefficients | None = None) -> Vec:
-    """Inverse of dexp, diag(dexp⁻¹_ξ, I), ‖ξ‖ < 2π.
+    """Apply the inverse of dexp, diag(dexp⁻¹_ξ, I), ‖ξ‖ < 2π.
 
     A step evaluates `quaternionxr3.dexpinv` on X/2.
     """

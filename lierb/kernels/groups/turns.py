@@ -1,4 +1,4 @@
-"""Rotations about one axis in SE(3), with cosine and sine, (c, s e), for a quaternion (w, v).
+"""A rotation about one axis in SE(3) is stored as (c, s e), cosine and sine, for (w, v).
 
 The functions are those of `quaternion`, with Y = X/2 for X, at half the operations.
 """
@@ -34,7 +34,7 @@ def pose(c: Chart) -> Pose:
 
 
 def from_pose(c: Pose, axis: int = 2) -> Chart:
-    """Chart (c, s e) of a pose whose rotation is about `axis`, up to rounding."""
+    """Return the chart (c, s e) of a pose whose rotation is about `axis`, up to rounding."""
     i, j = (axis + 1) % 3, (axis + 2) % 3
     turn = c[0][4 * i], c[0][3 * j + i]
     cosine, sine = scale(1.0 / norm(turn), turn)

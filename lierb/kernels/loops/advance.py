@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from lierb.kernels.groups.coefficients import TINY
-from lierb.kernels.loops.record import Record, are_finite, with_rank
+from lierb.kernels.loops.record import Record, are_finite, with_all_parts, with_rank
 from lierb.kernels.numbers.arithmetic import (
     all_lanes,
     assumptions,
@@ -15,14 +15,26 @@ from lierb.kernels.numbers.arithmetic import (
     real,
     where,
 )
-from lierb.kernels.numbers.zero import ZERO
+from lierb.kernels.numbers.dual import values
+from lierb.kernels.numbers.zero import ZERO, is_zero
 from lierb.kernels.stepping.method import Interval
 from lierb.kernels.stepping.method_of import method_of
+from lierb.kernels.systems.derivatives import on_values
 from lierb.kernels.systems.plan import AnyPlan
-from lierb.kernels.systems.state import NON_FINITE, OK, RAISED, SINGULAR, State
+from lierb.kernels.systems.state import NO_CONVERGENCE, NON_FINITE, OK, RAISED, SINGULAR, State
 from lierb.kernels.systems.system_of import system_of, takes_small_angle_steps
 from lierb.kernels.tracing import calls
 from lierb.kernels.tracing.trace import kernel
+
+
+def begin(plan: AnyPlan, body: Any, state: State, record: Record, time: Any, h: Any) -> State:
+    """Return the state with the numbers that the method carries, unless they are known."""
+    if not state.carried:
+        return state
+    at, body = Interval(time, h, h), with_rank(plan, body, record)
+    begun = method_of(plan).started(system_of(plan), body, state, at).carried
+    pairs = zip(state.carried, begun, strict=True)
+    return state._replace(carried=tuple(where(x == x, x, y) for x, y in pairs))
 
 
 def advance(
@@ -59,16 +71,22 @@ def _advanced(
     invariant: tuple[int, ...],
 ) -> tuple[State, Record]:
     body = with_rank(plan, body, record)
-    moved, singular = _stepped(plan, body, state, time, h, invariant)
+    moved, singular, unsolved = _stepped(plan, body, state, time, h, invariant)
+    moved, seen, singular = with_all_parts(plan, moved), values(moved), values(singular)
     # One angle that is not finite makes all of Q so.
-    turns, places = system_of(plan).turns_and_places(moved.chart)
-    numbers = (*turns, *moved.v_or_mu, *moved.x, *places, moved.work)
+    turns, places = system_of(plan).turns_and_places(seen.chart)
+    numbers = (*turns, *seen.v_or_mu, *seen.x, *places, seen.work)
     fine = are_finite(*numbers) & (singular <= 0.5)
+    if not is_zero(unsolved):
+        fine = fine & (unsolved <= 0.5)
     if plan.calls_functions:
         fine = fine & (calls.exception_flags(record.status) == calls.CLEAR)
 
     def failed() -> Any:
-        now = where(singular > 0.5, float(SINGULAR), where(fine, float(OK), float(NON_FINITE)))
+        now = where(fine, float(OK), float(NON_FINITE))
+        if not is_zero(unsolved):
+            now = where(unsolved > 0.5, float(NO_CONVERGENCE), now)
+        now = where(singular > 0.5, float(SINGULAR), now)
         alive = record.status == OK
         if plan.calls_functions:
             known = calls.exception_flags(record.status)
@@ -95,8 +113,11 @@ def _advanced(
 
 def _stepped(
     plan: AnyPlan, body: Any, state: State, time: Any, h: Any, invariant: tuple[int, ...]
-) -> tuple[State, Any]:
-    """Make a step with the invariant components of V as structural zeros."""
+) -> tuple[State, Any, Any]:
+    """Make a step with the invariant components of V as structural zeros.
+
+    Return the state, and 1 where the step is singular, and where it is unsolved.
+    """
     before = state.v_or_mu
     moving = tuple(ZERO if i in invariant else v for i, v in enumerate(before))
     state = state._replace(v_or_mu=moving)
@@ -104,7 +125,7 @@ def _stepped(
     moved, singular = made.state, made.singular
     pairs = zip(before, moved.v_or_mu, strict=True)
     after = tuple(v if i in invariant else x for i, (v, x) in enumerate(pairs))
-    return moved._replace(v_or_mu=after), singular
+    return moved._replace(v_or_mu=after), singular, made.unsolved
 
 
 def has_invariant(plan: AnyPlan, h: Any) -> Any:
@@ -112,6 +133,7 @@ def has_invariant(plan: AnyPlan, h: Any) -> Any:
     return all_lanes(h == h if system_of(plan).invariant else h < h)
 
 
+@on_values
 def is_invariant(plan: AnyPlan, state: State, h: Any) -> Any:
     """Return whether the components of V that rows keep at zero are zero in all lanes.
 
@@ -124,6 +146,7 @@ def is_invariant(plan: AnyPlan, state: State, h: Any) -> Any:
     return all_lanes(invariant)
 
 
+@on_values
 def has_small_angles(plan: AnyPlan, body: Any, state: State, record: Record, h: Any) -> Any:
     """Return whether the next step's angles are likely to be tiny in all lanes."""
     if not takes_small_angle_steps(plan):
@@ -145,7 +168,7 @@ def advance_small_angles(
     if not takes_small_angle_steps(plan):
         return state, all_lanes(h < h)  # never
     with assumptions(h) as conditions:
-        moved, singular = _stepped(plan, body, state, time, h, system_of(plan).invariant)
+        moved, singular, _ = _stepped(plan, body, state, time, h, system_of(plan).invariant)
     _, places = system_of(plan).turns_and_places(moved.chart)
     fine = are_finite(*moved.v_or_mu, *places, moved.work) & (singular <= 0.5)
     for condition in conditions:  # false for an angle that is not finite
@@ -154,11 +177,11 @@ def advance_small_angles(
 
 
 def tidy(plan: AnyPlan, body: Any, state: State) -> State:
-    return state._replace(chart=system_of(plan).tidied(body, state.chart))
+    return with_all_parts(plan, state._replace(chart=system_of(plan).tidied(body, state.chart)))
 
 
 for _formula in (
-    advance, advance_invariant, has_invariant, is_invariant, has_small_angles, advance_small_angles,
-    tidy,
+    begin, advance, advance_invariant, has_invariant, is_invariant, has_small_angles,
+    advance_small_angles, tidy,
 ):  # fmt: skip
     kernel(_formula)

@@ -16,6 +16,7 @@ from lierb.kernels.loops.advance import (
     advance,
     advance_invariant,
     advance_small_angles,
+    begin,
     has_invariant,
     has_small_angles,
     is_invariant,
@@ -25,7 +26,6 @@ from lierb.kernels.loops.job import BODIES, RESUMED, TWISTS, UNSEEN
 from lierb.kernels.loops.record import (
     initial_record,
     initial_state,
-    keep_errors,
     load_body,
     load_carried,
     load_given,
@@ -39,8 +39,13 @@ from lierb.kernels.loops.record import (
     without_measures,
 )
 from lierb.kernels.loops.sharing import pack, take_share
+from lierb.kernels.loops.states_in_memory import (
+    keep_errors,
+)
 from lierb.kernels.loops.tables import (
     Place,
+    store_derivatives,
+    store_end_derivatives,
     store_row,
     store_start,
     store_state,
@@ -65,6 +70,7 @@ def _observe(plan, body, inputs, state, record, clock, k, column, tables, rows_p
         if save:
             at = Place(row, tables.history.shape[1], column)
             store_row(plan, body, state, record, shown, tables, at, time)
+            store_derivatives(plan, body, inputs, state, record, tables, at, time)
             if is_last:  # before the last step, the next step reports a failure
                 record = with_exceptions(plan, record, k)
         if is_last or (save and rows_per_link > 1):
@@ -112,6 +118,7 @@ def integrate_blocks(plan, inputs, counter, jobs):
         job.dt, job.steps, job.measure_every, job.save_every, job.origin, job.first_step
     )
     carried, summary, ends = numbers_at(job.carried), numbers_at(job.summary), numbers_at(job.ends)
+    slopes = numbers_at(job.end_derivatives)
     table, memory = integers_at(job.table), numbers_at(job.memory)
     tables, blocks = tables_at(job), (job.stop - job.first + lanes - 1) // lanes
     stop, resumes = job.until, job.begin == RESUMED
@@ -144,7 +151,8 @@ def integrate_blocks(plan, inputs, counter, jobs):
                 state = initial_state(plan, body, placed, inputs)
             record = initial_record(plan, body, state)
             if resumes:
-                record = resumed_record(plan, inputs, record)
+                record = resumed_record(plan, body, inputs, record)
+            state = begin(plan, body, state, record, time_of(clock, 0), clock.dt)
         invariant = is_invariant(plan, state, clock.dt)
         while True:
             if fresh:
@@ -164,3 +172,6 @@ def integrate_blocks(plan, inputs, counter, jobs):
         else:
             store_summary(plan, body, record, summary, column)
             store_end(plan, body, state, record, ends, column)
+            store_end_derivatives(
+                plan, body, inputs, state, record, slopes, column, time_of(clock, k)
+            )

@@ -28,6 +28,8 @@ RESULTS = {
     "multipliers": "[time][trajectory][row of any joint]",
     "reactions": "[joint, time][trajectory][component]",
     "ends": "[`end_columns`][trajectory]",
+    "derivatives": "[column, direction][time][trajectory], of `derivative_columns`",
+    "end_derivatives": "[column, direction, then column][trajectory], those in time last",
 }
 ARRAYS = {
     "addresses": "int64, [column of inputs][address for the first trajectory, bytes to the next]",

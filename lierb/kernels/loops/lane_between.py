@@ -7,12 +7,13 @@ from typing import Any, NamedTuple
 from lierb.kernels.loops import workspace as ws
 from lierb.kernels.loops.lane_state import Lanes, put_row, put_rows, row_of
 from lierb.kernels.loops.lane_steps import Made, inside
-from lierb.kernels.loops.record import Record, observe, without_measures
+from lierb.kernels.loops.record import Record, observe, with_all_parts, without_measures
 from lierb.kernels.numbers.arithmetic import absolute, all_lanes, any_lanes, load, store, where
 from lierb.kernels.stepping.lane_clock import LaneClock, Trial, rounding_at
 from lierb.kernels.stepping.method import Interval
 from lierb.kernels.stepping.method_of import method_of
-from lierb.kernels.stepping.step_size import parts_to_watch
+from lierb.kernels.stepping.travel import parts_to_watch
+from lierb.kernels.systems.derivatives import on_values
 from lierb.kernels.systems.extra_states import Control, with_signals
 from lierb.kernels.systems.plan import AnyPlan
 from lierb.kernels.systems.signals import events_of
@@ -36,7 +37,8 @@ def state_between(
     if not plan.interpolates:
         return state  # never
     at = Interval(*inside(plan, trial), trial.h)
-    return method_of(plan).between(system_of(plan), body, state, at, slopes, theta)
+    between = method_of(plan).between(system_of(plan), body, state, at, slopes, theta)
+    return with_all_parts(plan, between)
 
 
 def time_between(trial: Trial, theta: Any) -> Any:
@@ -73,6 +75,7 @@ def select_due_between(plan: AnyPlan, rows: Any, lanes: Lanes, trial: Trial, acc
     put_row(plan, rows, ws.THETA, where(due, (clock.due - trial.start) / length, 0.0))
 
 
+@on_values
 def shown_between(
     plan: AnyPlan, body: Any, state: State, lanes: Lanes
 ) -> tuple[tuple[Any, ...], Record]:
@@ -89,6 +92,7 @@ def with_record(lanes: Lanes, record: Record) -> Lanes:
 # ---- events ----
 
 
+@on_values
 def put_values(
     plan: AnyPlan, body: Any, state: State, control: Control, time: Any, values: Any, sample: Any
 ) -> None:
@@ -99,6 +103,7 @@ def put_values(
             store(values, (sample, i, 0), value, plan.lanes)
 
 
+@on_values
 def put_roundings(
     plan: AnyPlan, body: Any, lanes: Lanes, values: Any, sample: Any, roundings: Any
 ) -> None:
@@ -125,6 +130,7 @@ class Part(NamedTuple):
     is_last: Any
 
 
+@on_values
 def parts_of(
     plan: AnyPlan, body: Any, state: State, moved: State, trial: Trial, accepted: Any
 ) -> Part:
@@ -192,9 +198,15 @@ def ended_between(
     return Ending(state, lanes._replace(clock=clock), code)
 
 
+def ends_between(plan: AnyPlan, rows: Any) -> Any:
+    """Return 1 where the step ends at a terminal event."""
+    last = row_of(plan, rows, ws.LAST)
+    return where(last <= 1.0, 1.0, 0.0 * last)
+
+
 for _formula in (
     slopes_between, state_between, time_between, is_due_between, select_due_between, shown_between,
-    with_record, put_values, put_roundings, parts_of, next_part, ends_step, in_step, put_part,
-    ended_between,
+    ends_between, with_record, put_values, put_roundings, parts_of, next_part, ends_step, in_step,
+    put_part, ended_between,
 ):  # fmt: skip
     kernel(_formula)

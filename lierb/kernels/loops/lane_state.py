@@ -10,11 +10,13 @@ from lierb.kernels.loops.record import (
     carried_columns,
     initial_record,
     initial_state,
+    lane_input,
     load_carried,
     load_placed,
     resumed_record,
     state_columns,
     store_carried,
+    with_all_parts,
 )
 from lierb.kernels.loops.tables import user_state
 from lierb.kernels.loops.workspace import DUE, NOISE_INDEX
@@ -29,6 +31,7 @@ from lierb.kernels.numbers.arithmetic import (
     store,
     where,
 )
+from lierb.kernels.numbers.dual import values
 from lierb.kernels.numbers.vec import Vec
 from lierb.kernels.stepping.lane_clock import (
     LaneClock,
@@ -39,6 +42,7 @@ from lierb.kernels.stepping.lane_clock import (
 )
 from lierb.kernels.stepping.step_size import Tolerances
 from lierb.kernels.systems.combine import NAN
+from lierb.kernels.systems.derivatives import on_values
 from lierb.kernels.systems.extra_states import Control, with_signals
 from lierb.kernels.systems.layout import LANE_END
 from lierb.kernels.systems.plan import AnyPlan
@@ -139,14 +143,15 @@ def own_start(plan: AnyPlan, body: Any, inputs: Any, rows: Any) -> State:
     """Return the initial state, with initial values of the extra states."""
     placed = load_placed(plan, body, inputs)
     state, zero = initial_state(plan, body, placed, inputs), 0.0 * row_of(plan, rows, NOISE_INDEX)
-    own = system_of(plan).initial_states(body) if states_of(plan) else ()
-    return state._replace(states=tuple(zero + x for x in own))
+    own = system_of(plan).initial_states(body, state) if states_of(plan) else ()
+    return with_all_parts(plan, state._replace(states=tuple(zero + x for x in own)))
 
 
 def started(
     plan: AnyPlan, body: Any, state: State, rows: Any, span: Span, limits: Tolerances
 ) -> Lanes:
     """Return the lanes before the first tick."""
+    whole, body, state = state, values(body), values(state)
     due = row_of(plan, rows, DUE)
     zero = 0.0 * row_of(plan, rows, NOISE_INDEX)
     system, periods = system_of(plan), periods_of(plan, body)
@@ -157,12 +162,12 @@ def started(
     )
     body = with_signals(plan, body, state, control)
     clock = first_clock(plan, body, state, span, limits, zero)._replace(due=due)
-    return Lanes(state, initial_record(plan, body, state), clock, control)
+    return Lanes(whole, initial_record(plan, body, state), clock, control)
 
 
 def periods_of(plan: AnyPlan, body: Any) -> Vec:
     """Return the controllers' periods, s."""
-    return system_of(plan).periods(body) if controllers_of(plan) else ()
+    return values(system_of(plan).periods(body)) if controllers_of(plan) else ()
 
 
 def _first_tick(start: Any, period: Any) -> Any:
@@ -176,10 +181,7 @@ def _first_tick(start: Any, period: Any) -> Any:
 def resumed(plan: AnyPlan, body: Any, lanes: Lanes, limits: Tolerances, inputs: Any) -> Lanes:
     """Return the lanes with the final clock and controllers of the run before."""
     columns = lane_end(plan)
-    is_looped = plan.is_looped
-    first: Any = (
-        in_memory(plan).lane_column(body) if is_looped else system_of(plan).inputs["lane"].start
-    )
+    first = lane_input(plan, body)
     places = [(first + c, 0) for c in range(columns.count)]
     before = columns.parts([load(inputs, place, plan.lanes) for place in places])
     control = (
@@ -187,7 +189,7 @@ def resumed(plan: AnyPlan, body: Any, lanes: Lanes, limits: Tolerances, inputs: 
         for name, mine in lanes.control._asdict().items()
     )
     clock = continued(plan, lanes.clock, limits, before)
-    record = resumed_record(plan, inputs, lanes.record)
+    record = resumed_record(plan, body, inputs, lanes.record)
     return lanes._replace(record=record, clock=clock, control=Control(*control))
 
 
@@ -199,12 +201,15 @@ def put_shown(
 ) -> None:
     """Store the quantities of a state that tables show."""
     if plan.is_looped:
-        in_memory(plan).put_links(body, shown, lanes.record.status == OK)
+        first = in_memory(plan).put_links(body, shown, lanes.record.status == OK)
+        for i, number in enumerate((*state.states, *lanes.control.controls)):
+            put_row(plan, shown, first + i, number)
         return
     links = user_state(plan, body, inputs, state, lanes.record)
-    put_rows(plan, shown, 0, (*links, state.states, lanes.control.controls))
+    put_rows(plan, shown, 0, (*links, values(state.states), lanes.control.controls))
 
 
+@on_values
 def store_lane_summary(plan: AnyPlan, lanes: Lanes, summary: Any, column: Any) -> None:
     """Store LANE_SUMMARY, extra states and controls, beginning at a column."""
     clock = lanes.clock
@@ -219,9 +224,10 @@ def store_lane_end(plan: AnyPlan, body: Any, lanes: Lanes, ends: Any) -> None:
     """Store clock and controllers behind the state, for a run that continues."""
     clock = lanes.clock._replace(ahead=lanes.clock.ahead + lanes.clock.steps)
     own = tuple(getattr(clock, field.name) for field in LANE_END.fields)
-    first: Any = len(state_columns(plan)) + plan.keeps_rank
+    first: Any = len(state_columns(plan))
     if plan.is_looped:
         first = in_memory(plan).end_columns(body)
+    first = first + int(plan.keeps_rank)
     for row, number in enumerate(flatten((own, lanes.control))):
         put_row(plan, ends, first + row, number)
 

@@ -16,11 +16,14 @@ from lierb.kernels.loops.lane_state import (
 )
 from lierb.kernels.loops.record import (
     are_finite,
-    keep_errors,
     observe,
-    take_next,
+    with_all_parts,
     with_rank,
     without_measures,
+)
+from lierb.kernels.loops.states_in_memory import (
+    keep_errors,
+    take_next,
 )
 from lierb.kernels.loops.workspace import DUE, NOISE_INDEX, SELECTED
 from lierb.kernels.numbers.arithmetic import (
@@ -33,6 +36,7 @@ from lierb.kernels.numbers.arithmetic import (
     plain,
     where,
 )
+from lierb.kernels.numbers.dual import values
 from lierb.kernels.numbers.vec import Vec
 from lierb.kernels.numbers.zero import ZERO, is_zero
 from lierb.kernels.stepping.lane_clock import (
@@ -50,10 +54,10 @@ from lierb.kernels.stepping.method import Interval
 from lierb.kernels.stepping.method_of import method_of
 from lierb.kernels.stepping.step_size import (
     Tolerances,
-    longest_step,
     squared_correction,
     squared_error,
 )
+from lierb.kernels.stepping.travel import longest_step
 from lierb.kernels.systems.combine import NAN
 from lierb.kernels.systems.extra_states import Control, with_signals
 from lierb.kernels.systems.observables import Kept, observables_of, with_value
@@ -83,6 +87,7 @@ def sooner(lanes: Lanes, stop: Any, time: Any) -> Any:
 def next_trial(plan: AnyPlan, body: Any, lanes: Lanes, stop: Any, active: Any) -> Trial:
     """Return the step to be tried.   stop : latest end, s, without ticks, jumps and bounds."""
     clock, end = lanes.clock, stop
+    body, state = values(body), values(lanes.state)
     for period, tick in zip(periods_of(plan, body), lanes.control.ticks, strict=True):
         time = period * tick  # a tick within rounding of the end counts as at the end
         time = where(absolute(time - end) <= rounding_at(end), end, time)
@@ -90,7 +95,7 @@ def next_trial(plan: AnyPlan, body: Any, lanes: Lanes, stop: Any, active: Any) -
     for time in system_of(plan).jumps(body):
         stop = sooner(lanes, stop, time)
     if plan.is_adaptive:
-        longest = longest_step(plan, body, lanes.state, lanes.state, clock.t, clock.h)
+        longest = longest_step(plan, body, state, state, clock.t, clock.h)
         stop = stop if longest is None else minimum(stop, clock.t + longest)
     return trial_of(plan, clock, stop, active)
 
@@ -111,7 +116,7 @@ class Made(NamedTuple):
     """Result of a trial.
 
     slopes : slopes of the stages, if there is a continuous extension.
-    singular : 1 in a singular configuration.
+    singular : 1 in a singular configuration.   unsolved : 1 where an iteration has not converged.
     square, correction : squares of the error and of the stabilisation's correction, relative to
         the tolerances.
     """
@@ -119,6 +124,7 @@ class Made(NamedTuple):
     state: State
     slopes: Any
     singular: Any
+    unsolved: Any
     square: Any
     correction: Any
 
@@ -132,13 +138,15 @@ def attempted(plan: AnyPlan, body: Any, lanes: Lanes, trial: Trial, limits: Tole
     square: Any = ZERO
     correction: Any = ZERO
     if plan.is_adaptive:
-        square = squared_error(plan, body, state, made.state, made.slopes, trial.h, limits)
+        body, before, seen = values(body), values(state), values(made)
+        square = squared_error(plan, body, before, seen.state, seen.slopes, trial.h, limits)
         is_first = lanes.clock.steps + lanes.clock.ahead < 0.5
         correction = squared_correction(
-            plan, body, state, made.stabilised, trial.h, limits, is_first
+            plan, body, before, seen.stabilised, trial.h, limits, is_first
         )
     slopes = made.slopes if plan.is_continuous else ()
-    return Made(made.state, slopes, made.singular, square, correction)
+    moved = with_all_parts(plan, made.state)
+    return Made(moved, slopes, values(made.singular), made.unsolved, square, correction)
 
 
 class Decision(NamedTuple):
@@ -163,18 +171,23 @@ def decided(
     active: Any,
 ) -> Decision:
     """Accept a step, or shorten it, or end the trajectory."""
-    moved, square, singular = made.state, made.square, made.singular
+    moved, square, singular = values(made.state), made.square, made.singular
     turns, places = system_of(plan).turns_and_places(moved.chart)
     numbers = (*turns, *moved.v_or_mu, *moved.x, *places, moved.work, *moved.states)
     fine = are_finite(*numbers) & (singular <= 0.5)
+    if not is_zero(made.unsolved):
+        fine = fine & (made.unsolved <= 0.5)
     if not is_zero(made.correction):
         too_large = made.correction > 1.0
         square = where(too_large & (made.correction > square), made.correction, square)
         singular = where(too_large, 1.0, singular)
     clock, longest = lanes.clock, None
     if plan.is_adaptive:
-        longest = longest_step(plan, body, lanes.state, moved, clock.t, clock.h)
-    verdict = judged(plan, clock, trial, fine, singular, square, longest, limits, active)
+        body, before = values(body), values(lanes.state)
+        longest = longest_step(plan, body, before, moved, clock.t, clock.h)
+    verdict = judged(
+        plan, clock, trial, fine, singular, made.unsolved, square, longest, limits, active
+    )
     return Decision(verdict.accepted, verdict.failed, lanes._replace(clock=verdict.clock))
 
 
@@ -316,7 +329,7 @@ def with_measures(
     record = where(now, seen, without_measures(plan, record, seen))
     restore_exceptions(plan, flags, mask)
     clock = clock._replace(seen=where(now, clock.t, clock.seen))
-    row = (*shown, *lanes.state.states, *lanes.control.controls)
+    row = (*shown, *values(lanes.state.states), *lanes.control.controls)
     return row, lanes._replace(record=record, clock=clock)
 
 

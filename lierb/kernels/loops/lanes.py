@@ -24,20 +24,30 @@ from lierb.kernels.loops.event_state import AT_THETA
 from lierb.kernels.loops.job import BODIES, RESUMED, TWISTS, UNSEEN
 from lierb.kernels.loops.lane_state import any_of, put_row, row_of, select
 from lierb.kernels.loops.record import (
-    clear_errors,
-    copy_next,
-    exchange,
     load_body,
     load_given,
-    restore_next,
     resumed_state,
     store_end,
-    take_next,
     with_exceptions,
     with_rank,
 )
 from lierb.kernels.loops.sharing import pack, take_share
-from lierb.kernels.loops.tables import Place, store_row, store_start, store_summary, tables_at
+from lierb.kernels.loops.states_in_memory import (
+    clear_errors,
+    copy_next,
+    exchange,
+    restore_next,
+    take_next,
+)
+from lierb.kernels.loops.tables import (
+    Place,
+    store_derivatives,
+    store_end_derivatives,
+    store_row,
+    store_start,
+    store_summary,
+    tables_at,
+)
 from lierb.kernels.stepping.lane_clock import Span
 from lierb.kernels.stepping.step_size import Tolerances
 from lierb.kernels.systems.extra_states import with_signals
@@ -74,6 +84,7 @@ def _store_row(plan, body, inputs, state, lanes, row, own, is_saved, time):
     """Store a row of the history in the workspace.   is_saved : whether states are recorded."""
     at = Place(0, 1, 0)
     store_row(plan, body, state, lanes.record, row, tables_at(own), at, time)
+    store_derivatives(plan, body, inputs, state, lanes.record, tables_at(own), at, time)
     if is_saved:
         lane_state.put_shown(plan, body, inputs, state, lanes, numbers_at(own.shown))
 
@@ -88,6 +99,11 @@ def _store_ends(plan, body, inputs, lanes, termination, span, own):
     store_summary(plan, body, lane_state.as_ended(lanes, span, termination), summary, 0)
     store_end(plan, body, lanes.state, lanes.record, ends, 0)
     lane_state.store_lane_end(plan, body, lanes, ends)
+    seen = with_signals(plan, body, lanes.state, lanes.control)
+    store_end_derivatives(
+        plan, seen, inputs, lanes.state, lanes.record, numbers_at(own.end_derivatives), 0,
+        lanes.clock.t,
+    )  # fmt: skip
 
 
 @_part_of_loop
@@ -146,7 +162,8 @@ def _look_between(
     values, state, moved = histories_at(own.values), lanes.state, made.state
     flags = lane_state.suppress_exceptions(plan, accepted)
     ranked = with_rank(plan, seen, lanes.record)
-    copy_next(plan, body)
+    everywhere = select(accepted, accepted, 1.0)
+    copy_next(plan, body, everywhere)
     slopes = inner.slopes_between(plan, ranked, state, made, trial)
     part = inner.parts_of(plan, seen, state, moved, trial, accepted)
     begins, task, turn = own.watched > 0, search.SAVE, 0
@@ -173,27 +190,34 @@ def _look_between(
         is_end = task == search.SAMPLE and turn == ws.SAMPLES
         if is_end and inner.ends_step(part):
             there, time = moved, trial.end
+            restore_next(plan, body, everywhere)
         else:
             there = inner.state_between(plan, ranked, state, slopes, trial, theta)
             if is_end:
                 there = select(part.is_last, moved, there)
                 time = select(part.is_last, trial.end, time)
+                restore_next(plan, body, part.is_last)
         if task == search.SAMPLE or task == search.DIP or task == search.ROOT:
             sample = turn if task == search.SAMPLE else AT_THETA
+            exchange(plan, body)
             inner.put_values(plan, seen, there, lanes.control, time, values, sample)
+            exchange(plan, body)
             if task != search.SAMPLE:
                 kind = search.NARROW if task == search.ROOT else search.NOTE_DIP
                 _request(job.watch, kind, inputs, counter, jobs)
         elif task == search.NOTE:
+            exchange(plan, body)
             lane_state.put_shown(plan, body, inputs, there, lanes, numbers_at(own.shown))
+            exchange(plan, body)
             _request(job.watch, search.NOTE_EVENTS, inputs, counter, jobs)
         elif task == search.END:
             moved, lanes, termination = inner.ended_between(
                 plan, rows, there, moved, trial, part, lanes, termination
             )
+            copy_next(plan, body, inner.ends_between(plan, rows))
         else:
             lanes = _save_between(plan, body, inputs, counter, jobs, lanes, there)
-    restore_next(plan, body)
+    restore_next(plan, body, everywhere)
     lane_state.restore_exceptions(plan, flags, accepted)
     return moved, lanes, termination
 

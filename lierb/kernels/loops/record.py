@@ -19,14 +19,18 @@ from lierb.kernels.numbers.arithmetic import (
     store,
     where,
 )
+from lierb.kernels.numbers.dual import values
 from lierb.kernels.numbers.zero import ZERO, is_zero
 from lierb.kernels.stepping.lane_clock import LaneClock
 from lierb.kernels.systems.combine import NAN
-from lierb.kernels.systems.layout import (
-    LANE_SUMMARY,
-    Columns,
-    Field,
+from lierb.kernels.systems.derivatives import (
+    completed,
+    on_values,
+    parts_side_by_side,
+    seeded,
+    with_parts,
 )
+from lierb.kernels.systems.layout import DIRECTIONS, LANE_SUMMARY, Columns, Field
 from lierb.kernels.systems.measures import (
     JOINT_ERRORS,
     JOINT_KEPT,
@@ -50,7 +54,8 @@ from lierb.kernels.systems.plan import AnyPlan, MechanismPlan
 from lierb.kernels.systems.signals import controller_fields, lane_end, signals_width
 from lierb.kernels.systems.state import NON_FINITE, OK, RAISED, State
 from lierb.kernels.systems.system_of import in_memory, system_of
-from lierb.kernels.systems.tree_table import STATE_ROWS, table_of
+from lierb.kernels.systems.tree_places import STATE_ROWS
+from lierb.kernels.systems.tree_table import table_of
 from lierb.kernels.tracing import calls
 from lierb.kernels.tracing.trace import kernel
 
@@ -81,6 +86,7 @@ def carried_columns(plan: AnyPlan) -> Columns:
         Field("first_energy"), Field("status"), Field("failed_step"), Field("dropped"),
         Field("flags"), Field("observed", (len(Kept._fields) * len(observables_of(plan)),)),
         Field("joints", (joint_columns(plan),)),
+        Field("parts", (DIRECTIONS * system_of(plan).state.count * bool(plan.moving),)),
     )  # fmt: skip
     if not plan.has_lane_clocks:
         return Columns(*columns)
@@ -124,8 +130,14 @@ def _columns(plan: AnyPlan, array: Any, columns: range, first: Any) -> list[Any]
 
 
 def load_inputs(plan: AnyPlan, inputs: Any) -> list[Any]:
-    """Load the inputs, except a state to continue from."""
-    return _columns(plan, inputs, range(system_of(plan).inputs["state"].start), 0)
+    """Load the inputs, with their derivatives, except a state to continue from."""
+    columns = system_of(plan).inputs
+    return seeded(plan, columns, _columns(plan, inputs, range(columns["state"].start), 0))
+
+
+def load_values(plan: AnyPlan, inputs: Any) -> list[Any]:
+    """Load the inputs without derivatives."""
+    return [*map(values, load_inputs(plan, inputs))]
 
 
 def load_body(plan: AnyPlan, inputs: Any, table: Any, memory: Any) -> Any:
@@ -142,16 +154,23 @@ def load_placed(plan: AnyPlan, body: Any, inputs: Any) -> Any:
 
 def load_given(plan: AnyPlan, inputs: Any, time: Any) -> Any:
     """Load the part of the check of a start that depends on the pose only."""
-    return system_of(plan).pose_check(load_inputs(plan, inputs), time)
+    return system_of(plan).pose_check(load_values(plan, inputs), time)
 
 
 def initial_state(plan: AnyPlan, body: Any, placed: Any, inputs: Any) -> State:
     if plan.is_looped:
         return in_memory(plan).started(body, inputs)
     state: State = system_of(plan).start(body, placed, load_inputs(plan, inputs))
-    return state
+    return with_all_parts(plan, state)
 
 
+def with_all_parts(plan: AnyPlan, state: State) -> State:
+    """Return the state with all derivatives of every number."""
+    whole: State = completed(plan, state)
+    return whole
+
+
+@on_values
 def initial_record(plan: AnyPlan, body: Any, state: State) -> Record:
     """Return a record at the start, with numbers of the state's type."""
     nothing = 0.0 * body.mass  # not a constant, so that 1 / t of a motor is inf, not an error
@@ -174,16 +193,22 @@ def resumed_state(plan: AnyPlan, body: Any, inputs: Any) -> State:
     at = system_of(plan).inputs["state"]
     numbers = _columns(plan, inputs, range(at.start, at.stop), 0)
     state: State = system_of(plan).state_of(numbers, body)
-    return state
+    return with_all_parts(plan, state)
 
 
-def resumed_record(plan: AnyPlan, inputs: Any, record: Record) -> Record:
+def resumed_record(plan: AnyPlan, body: Any, inputs: Any, record: Record) -> Record:
     """Return the record with the rank of the run that is continued, unless its rows differ."""
     if not plan.keeps_rank:
         return record
-    at = system_of(plan).inputs["lane"]
-    (dropped,) = _columns(plan, inputs, range(at.start, at.start + 1), 0)
+    dropped = load(inputs, (lane_input(plan, body), 0), plan.lanes)
     return record._replace(dropped=where(dropped == dropped, dropped, record.dropped))
+
+
+def lane_input(plan: AnyPlan, body: Any) -> Any:
+    """Return the first column of `lane_end` in the inputs."""
+    if plan.is_looped:
+        return in_memory(plan).lane_column(body)
+    return system_of(plan).inputs["lane"].start
 
 
 def with_rank(plan: AnyPlan, body: Any, record: Record) -> Any:
@@ -195,7 +220,8 @@ def load_carried(plan: AnyPlan, body: Any, carried: Any, first: Any) -> tuple[St
     """Load state, record and exception flags of a block, from the last call."""
     columns = carried_columns(plan)
     parts = columns.parts(_columns(plan, carried, range(columns.count), first))
-    state: State = system_of(plan).state_of(parts["state"], body)
+    whole = with_parts(plan, parts["state"], parts["parts"])
+    state = with_all_parts(plan, system_of(plan).state_of(whole, body))
     numbers = (parts[name][0] for name in ("first_energy", "status", "failed_step", "dropped"))
     energy, status, step, dropped = numbers
     observed = kept_of(parts["observed"])
@@ -219,27 +245,34 @@ def store_carried(
     """Store state, record and exception flags of a block, for the next call."""
     kept, *numbers, observed, joints = record
     flags = exception_flags(plan, record)
-    for c, number in enumerate((*flatten(state), *kept, *numbers, *flags)):
+    for c, number in enumerate((*flatten(values(state)), *kept, *numbers, *flags)):
         store(carried, (c, first), number, plan.lanes)
     behind = carried_columns(plan)["observed"].start
-    for c, number in enumerate(flatten((observed, joints)), behind):
+    parts = parts_side_by_side(state) if plan.moving else []
+    for c, number in enumerate((*flatten((observed, joints)), *parts), behind):
         store(carried, (c, first), number, plan.lanes)
     if plan.is_looped:
         in_memory(plan).store_state(body, carried, carried_columns(plan).count, first)
 
 
+@on_values
 def store_end(
     plan: AnyPlan, body: Any, state: State, record: Record, ends: Any, column: Any
 ) -> None:
     """Store the state, and the rank at the start, for a run that continues."""
+    first: Any = 0
+    going_on: list[Any] = []
     if plan.is_looped:
-        in_memory(plan).store_end(body, ends, column)
-        return
-    numbers = [*flatten(state)]
-    going_on = [numbers[c] for c in state_columns(plan)]
+        in_memory(plan).store_end(body, state, ends, column)
+        first = in_memory(plan).end_columns(body)
+    else:
+        numbers = [*flatten(state)]
+        going_on = [numbers[c] for c in state_columns(plan)]
     if plan.keeps_rank:
         going_on.append(record.dropped)
-    places = [(c, column) for c in range(len(going_on))]
+    if not going_on:
+        return
+    places = [(first + c, column) for c in range(len(going_on))]
     scatter(ends, 1, places, going_on, plan.lanes)
 
 
@@ -298,6 +331,7 @@ def are_finite(*numbers: Any) -> Any:
     return absolute(numbers[0]) <= LARGEST  # false for NaN
 
 
+@on_values
 def observe(
     plan: AnyPlan,
     body: Any,
@@ -368,47 +402,6 @@ def _joints_kept(
     return tuple(kept)
 
 
-def keep_errors(plan: AnyPlan, body: Any, record: Record, now: Any) -> None:
-    """Update the retained errors of a looped plan's joints, which are not in the record.
-
-    now : 1 in the lanes to update.
-    """
-    if plan.is_looped:
-        in_memory(plan).keep_errors(body, record.status == OK, now > 0.5)
-
-
-# ---- states of a looped plan, which are in memory: nothing for other plans ----
-
-
-def take_next(plan: AnyPlan, body: Any, mask: Any) -> None:
-    """Make the next state the state where the mask, 1 or 0, is 1."""
-    if plan.is_looped:
-        in_memory(plan).take_next(body, mask)
-
-
-def clear_errors(plan: AnyPlan, body: Any, mask: Any) -> None:
-    """Set the retained errors of the joints to 0 where the mask is 1."""
-    if plan.is_looped:
-        in_memory(plan).clear_errors(body, mask)
-
-
-def exchange(plan: AnyPlan, body: Any) -> None:
-    """Exchange the state and the next one."""
-    if plan.is_looped:
-        in_memory(plan).exchange(body)
-
-
-def copy_next(plan: AnyPlan, body: Any) -> None:
-    """Copy the next state, for `restore_next`."""
-    if plan.is_looped:
-        in_memory(plan).copy_next(body)
-
-
-def restore_next(plan: AnyPlan, body: Any) -> None:
-    if plan.is_looped:
-        in_memory(plan).copy_next(body, is_back=True)
-
-
 def without_measures(plan: AnyPlan, record: Record, seen: Record) -> Record:
     """Return the record after a step that is saved, not measured.   seen : record by `observe`."""
     if not may_raise(plan):
@@ -422,7 +415,7 @@ def without_measures(plan: AnyPlan, record: Record, seen: Record) -> Record:
 
 for _formula in (
     load_body, load_placed, load_given, initial_state, initial_record, resumed_state,
-    resumed_record, with_rank, load_carried, store_carried, observe, keep_errors, take_next,
-    clear_errors, exchange, copy_next, restore_next, without_measures, with_exceptions, store_end,
+    resumed_record, with_rank, load_carried, store_carried, observe, without_measures,
+    with_exceptions, store_end,
 ):  # fmt: skip
     kernel(_formula)

@@ -5,14 +5,23 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 from lierb.compiler.loops import histories_at, shared
-from lierb.kernels.loops.record import Record, exception_flags, load_inputs, with_rank
+from lierb.kernels.loops.record import (
+    Record,
+    exception_flags,
+    load_inputs,
+    load_values,
+    with_rank,
+)
 from lierb.kernels.numbers.arithmetic import prefetch, scatter, sqrt, where
+from lierb.kernels.numbers.dual import Dual, values
 from lierb.kernels.numbers.vec import Vec
 from lierb.kernels.systems.combine import NAN
+from lierb.kernels.systems.derivatives import differentiated, in_time, on_values
 from lierb.kernels.systems.layout import POSE_AND_TWIST
 from lierb.kernels.systems.measures import KEPT, SUMMARY
 from lierb.kernels.systems.observables import columns_of
 from lierb.kernels.systems.plan import AnyPlan
+from lierb.kernels.systems.signals import events_of, signals_width
 from lierb.kernels.systems.state import OK, State
 from lierb.kernels.systems.system_of import in_memory, system_of
 from lierb.kernels.tracing.trace import kernel
@@ -25,6 +34,7 @@ class Tables(NamedTuple):
     multipliers: Any
     reactions: Any
     states: tuple[Any, Any, Any, Any]
+    derivatives: Any
 
 
 @shared
@@ -41,6 +51,7 @@ def tables_at(job):
         histories_at(job.multipliers),
         histories_at(job.reactions),
         states,
+        histories_at(job.derivatives),
     )
 
 
@@ -56,6 +67,7 @@ class Place(NamedTuple):
     column: Any
 
 
+@on_values
 def store_row(
     plan: AnyPlan,
     body: Any,
@@ -76,18 +88,27 @@ def store_row(
     def put(array: Any, axis: int, places: list[tuple[Any, ...]], numbers: Vec) -> None:
         scatter(array, axis, places, where(alive, numbers, (NAN,) * len(numbers)), plan.lanes)
 
-    put(tables.history, 2, [(c, at.row, at.column) for c in range(len(shown))], tuple(shown))
-    for c in range(len(shown)):
+    def put_history(first: Any, numbers: Vec) -> None:
+        if numbers:
+            places = [(first + c, at.row, at.column) for c in range(len(numbers))]
+            put(tables.history, 2, places, tuple(numbers))
+
+    behind = signals_width(plan) * plan.has_lane_clocks if plan.is_looped else 0
+    head = len(shown) - behind
+    put_history(0, shown[:head])
+    for c in range(head):
         prefetch(tables.history, (c, at.row + 1, at.column), plan.lanes)
     if plan.is_looped:
-        in_memory(plan).store_errors(body, tables.history, len(shown), at.row, at.column, alive)
+        place = tables.history, head, at.row, at.column
+        put_history(in_memory(plan).store_errors(body, *place, alive), shown[head:])
     if not (plan.multipliers or plan.reaction):
         return
+    body = with_rank(plan, body, record)
     if plan.is_looped:
         arrays = tables.multipliers, tables.reactions
         in_memory(plan).store_forces(body, *arrays, at, time, alive)
         return
-    multipliers, wrenches = system_of(plan).forces(with_rank(plan, body, record), state, time)
+    multipliers, wrenches = system_of(plan).forces(body, state, time)
     if plan.multipliers and multipliers:
         count = len(multipliers)
         put(tables.multipliers, 1, [(at.row, at.column, c) for c in range(count)], multipliers)
@@ -105,7 +126,7 @@ def user_state(
     """Return R (row by row), r, ω, v of every link, in the user's frames; NaN after a failure."""
     links = system_of(plan).in_user_frames(body, load_inputs(plan, inputs), state)
     alive = record.status == OK
-    return [where(alive, numbers, (NAN,) * len(numbers)) for numbers in links]
+    return [where(alive, values(numbers), (NAN,) * len(numbers)) for numbers in links]
 
 
 def store_state(
@@ -124,6 +145,48 @@ def store_state(
         row = row + at.rows
 
 
+def store_derivatives(
+    plan: AnyPlan, body: Any, inputs: Any, state: State, record: Record, tables: Tables, at: Place,
+    time: Any,
+) -> None:  # fmt: skip
+    """Store one row of the derivatives of a state, [column, direction]."""
+    if plan.moving:
+        _store_parts(
+            plan, body, inputs, state, record, tables.derivatives, (at.row, at.column), time
+        )
+
+
+def store_end_derivatives(
+    plan: AnyPlan, body: Any, inputs: Any, state: State, record: Record, array: Any, column: Any,
+    time: Any,
+) -> None:  # fmt: skip
+    """Store the derivatives at the end, [column, direction], then those in time, [column].
+
+    Those in time are for the ends of trajectories that an event has ended.
+    """
+    if not plan.moving:
+        return
+    count = _store_parts(plan, body, inputs, state, record, array, (column,), time)
+    if events_of(plan):
+        body, state, system = values(body), values(state), system_of(plan)
+        moved, time = in_time(system, body, state, time), Dual(time, (1.0,))
+        _store_parts(plan, body, inputs, moved, record, array, (column,), time, count)
+
+
+def _store_parts(
+    plan: AnyPlan, body: Any, inputs: Any, state: State, record: Record, array: Any,
+    place: tuple[Any, ...], time: Any, first: int = 0,
+) -> int:  # fmt: skip
+    """Store all derivatives of a state from row `first` on; return their number."""
+    own, body = system_of(plan), with_rank(plan, body, record)
+    given = load_values(plan, inputs) if first else load_inputs(plan, inputs)
+    parts = tuple(differentiated(plan, own, body, given, state, time))
+    parts = where(record.status == OK, parts, (NAN,) * len(parts))
+    places = [(c, *place) for c in range(first, first + len(parts))]
+    scatter(array, len(place), places, parts, plan.lanes)
+    return len(parts)
+
+
 def store_summary(plan: AnyPlan, body: Any, record: Record, summary: Any, column: Any) -> None:
     """Store a summary: retained measures, status, and step of a failure."""
     r = record
@@ -136,16 +199,18 @@ def store_summary(plan: AnyPlan, body: Any, record: Record, summary: Any, column
     places = [*range(len(numbers)), *(SUMMARY.count + c for c in range(len(watched)))]
     scatter(summary, 1, [(c, column) for c in places], (*numbers, *watched), plan.lanes)
     if plan.is_looped:
-        in_memory(plan).store_kept(body, summary, SUMMARY.count, column)
+        in_memory(plan).store_kept(body, summary, SUMMARY.count + len(watched), column)
 
 
 def store_start(
     plan: AnyPlan, given: Any, inputs: Any, summary: Any, column: Any, time: Any
 ) -> None:
     """Store whether the user's start is on the joint.   time : of the start, s."""
-    starts = system_of(plan).is_on_joint(given, load_inputs(plan, inputs), time)
+    starts = system_of(plan).is_on_joint(given, load_values(plan, inputs), time)
     scatter(summary, 1, [(SUMMARY.index("starts"), column)], [starts], plan.lanes)
 
 
-for _formula in (store_row, store_state, store_summary, store_start):
+for _formula in (
+    store_row, store_state, store_derivatives, store_end_derivatives, store_summary, store_start,
+):  # fmt: skip
     kernel(_formula)

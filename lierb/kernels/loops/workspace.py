@@ -17,7 +17,7 @@ from lierb.compiler.loops import histories_at, integers_at, number_at, numbers_a
 from lierb.compiler.tags import Tag
 from lierb.kernels.loops.sharing import take_share
 from lierb.kernels.loops.tables import tables_at
-from lierb.kernels.stepping.step_size import MOST_PARTS
+from lierb.kernels.stepping.travel import MOST_PARTS
 from lierb.kernels.systems.measures import SUMMARY
 
 # Rows of a workspace, each with a number for every lane.
@@ -81,6 +81,7 @@ def copy_row(rows, own, job, lanes):
     history, shown = histories_at(job.history), histories_at(own.history)
     multipliers, own_multipliers = histories_at(job.multipliers), histories_at(own.multipliers)
     reactions, own_reactions = histories_at(job.reactions), histories_at(own.reactions)
+    derivatives, own_derivatives = histories_at(job.derivatives), histories_at(own.derivatives)
     save_at = numbers_at(job.save_at)
     count = save_at.shape[1]
     for lane in range(lanes):
@@ -89,6 +90,8 @@ def copy_row(rows, own, job, lanes):
         column, row = int(rows[TRAJECTORY, lane]), int(rows[NEXT_ROW, lane])
         for c in range(shown.shape[0]):
             history[c, row, column] = shown[c, 0, lane]
+        for c in range(own_derivatives.shape[0]):
+            derivatives[c, row, column] = own_derivatives[c, 0, lane]
         if own_multipliers.shape[0] > 0:
             for c in range(own_multipliers.shape[2]):
                 multipliers[row, column, c] = own_multipliers[0, lane, c]
@@ -118,6 +121,7 @@ def copy_ends(rows, own, job, lanes):
     """Copy the summary and the end of each trajectory that has terminated."""
     summary, own_summary = numbers_at(job.summary), numbers_at(own.summary)
     ends, own_ends = numbers_at(job.ends), numbers_at(own.ends)
+    slopes, own_slopes = numbers_at(job.end_derivatives), numbers_at(own.end_derivatives)
     first, are_neighbours = int(rows[TRAJECTORY, 0]), True
     for lane in range(lanes):
         column = int(rows[TRAJECTORY, lane])
@@ -132,6 +136,7 @@ def copy_ends(rows, own, job, lanes):
             if not are_neighbours:
                 copy_column(own_summary, summary, lane, column)
                 copy_column(own_ends, ends, lane, column)
+            copy_column(own_slopes, slopes, lane, column)
             copy_state(own, job, lane, column, job.rows_per_link - 1)
 
 

@@ -1,1 +1,1 @@
-"""A body, its constraints and forces, and its equations of motion."""
+"""A body has constraints and forces, which enter its equations of motion."""

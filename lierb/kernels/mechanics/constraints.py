@@ -14,7 +14,7 @@ from lierb.kernels.numbers.zero import ZERO
 
 def holds_a_point(rows: Rows) -> bool:
     """Return whether the rows fix the joint's point in all directions."""
-    return {0, 1, 2} <= {r.held_axis for r in rows}
+    return {0, 1, 2} <= {r.held_axis for r in rows if r.is_of_joint}
 
 
 def held_axes(rows: Rows) -> list[int]:
@@ -32,6 +32,22 @@ def residuals(rows: Rows, x: Kinematics, body: HeldBody) -> list[Number]:
     elif len(fixed) == 2:
         turns = _tilt(x.q, 3 - sum(fixed))
     return [r.value(x, body) if r.has_value else turns[r.fixed_axis] for r in rows]
+
+
+def smooth_residuals(rows: Rows, x: Kinematics, body: HeldBody) -> list[Number]:
+    """Return the value h of every row, with the gradient J wherever all are zero.
+
+    That of an `Omega` row is an entry of Q, or for three such rows of its skew part.
+    """
+    fixed = fixed_axes(rows)
+    values: dict[int | None, Number] = {}
+    for i in fixed:
+        j, k = (i + 1) % 3, (i + 2) % 3
+        if len(fixed) == 3:
+            values[i] = 0.5 * (x.q[3 * k + j] - x.q[3 * j + k])
+        else:  # the axis that the rows keep is k, or j
+            values[i] = x.q[3 * k + j] if k not in fixed else -x.q[3 * j + k]
+    return [r.value(x, body) if r.has_value else values[r.fixed_axis] for r in rows]
 
 
 def _tilt(q: Vec, axis: int) -> dict[int | None, Number]:
@@ -73,11 +89,14 @@ def rate_errors_squared(
     rows: Rows, x: Kinematics, body: HeldBody, velocity: Vec
 ) -> tuple[Number, Number]:
     """Sums of the squares of J V − prescribed rate, over translational and rotational rows."""
-    rates = [
-        (r.is_translational, dot(r.jacobian(x, body), velocity) - r.prescribed_rate(x, body))
-        for r in rows
-    ]
+    rates = [dot(r.jacobian(x, body), velocity) - r.prescribed_rate(x, body) for r in rows]
+    return squares_by_kind(rows, rates)
+
+
+def squares_by_kind(rows: Rows, numbers: list[Number]) -> tuple[Number, Number]:
+    """Sums of the squares of the rows' numbers, over translational and rotational rows."""
+    pairs = [*zip(rows, numbers, strict=True)]
     return (
-        _squares([rate for translational, rate in rates if translational]),
-        _squares([rate for translational, rate in rates if not translational]),
+        _squares([x for r, x in pairs if r.is_translational]),
+        _squares([x for r, x in pairs if not r.is_translational]),
     )

@@ -24,7 +24,6 @@ from lierb.kernels.mechanics.newton_euler import (
     SE3,
     BodyConstants,
     Frames,
-    Kinematics,
     Motion,
     Parameters,
     Pose,
@@ -32,10 +31,11 @@ from lierb.kernels.mechanics.newton_euler import (
     frames_of,
     inertia_about_com,
 )
-from lierb.kernels.mechanics.rows import AddedRow, HeldBody
+from lierb.kernels.mechanics.rows import AddedRow, Rows
 from lierb.kernels.mechanics.scale import ROUNDING
-from lierb.kernels.numbers.arithmetic import PI, absolute, flatten, fma, plain, where
+from lierb.kernels.numbers.arithmetic import PI, absolute, flatten, fma, plain, rint, where
 from lierb.kernels.numbers.number import Number
+from lierb.kernels.numbers.trigonometry import atan2
 from lierb.kernels.numbers.vec import (
     ZERO3,
     ZERO6,
@@ -83,22 +83,35 @@ class Element:
     """Base class of all elements, without any effect.
 
     needs_axis : True if it acts about or along e₃ of the joint, which must then be an axis of
-    the body and of the ground.   needs_slide : True if it acts along e₃.   rows : number of
-    constraints.   does_work : True if it can change E = T + U, U the `energy` of all elements.
-    is_passive : True if it has no effect on the motion by itself.   bounds_steps : True if
-    adaptive steps respect the bounds of `travel`.
+    the body and of the ground.   needs_slide : True if it acts along e₃.   joints : number of
+    joints at whose axes it acts, if it needs one.   rows : number of constraints.
+    does_work : True if it can change E = T + U, U the `energy` of all elements.   is_passive : True
+    if it has no effect on the motion by itself.   bounds_steps : True if adaptive steps respect the
+    bounds of `travel`.   jumping : parameters that, unless zero, make the wrench jump at a place.
     """
 
     needs_axis: ClassVar[bool] = False
     needs_slide: ClassVar[bool] = False
+    joints: ClassVar[int] = 1
     is_conservative: ClassVar[bool] = False  # but for the parameters in `working`
     is_users: ClassVar[bool] = False  # True for a user's function
     does_work: ClassVar[bool] = True
     is_passive: ClassVar[bool] = False
     working: ClassVar[tuple[str, ...]] = ()  # parameters of forces without potential
     bounds_steps: ClassVar[bool] = False
+    jumping: ClassVar[tuple[str, ...]] = ()
     discontinuities: tuple[str, ...] = ()  # parameters that are times of possible jumps, s
     rows: int = 0
+
+    @property
+    def depends_on_velocity(self) -> bool:
+        """Return False if the wrench is a function of pose and time alone, for all parameters."""
+        return self.is_users or not self.is_conservative or bool(self.working)
+
+    @property
+    def feels(self) -> bool:
+        """Return whether a function of the element takes accelerations."""
+        return False
 
     @property
     def functions(self) -> tuple[Function, ...]:
@@ -119,6 +132,14 @@ class Element:
     def row(self, place: int, i: int) -> AddedRow:
         """Row of constraint i; `place` is the element's index in the problem."""
         raise NotImplementedError
+
+    def on_joint(self, rows: Rows, joint: int = 0) -> Element:
+        """Return the element with a joint of these rows as the one with this number."""
+        return self
+
+    def slides_at(self, joint: int) -> bool:
+        """Return whether it acts along e₃ of the joint with this number."""
+        return self.needs_slide
 
     def placed(self, given: dict[str, Any], frames: Frames) -> tuple[Any, ...]:
         return tuple(given.values())
@@ -220,7 +241,7 @@ class UserWrench(Element):
         frame = UserFrame(*placed[0])
         (r, place), (omega, v) = frame.pose(x.q, x.place), frame.twist(x.omega, x.v)
         turning = sum((cross(row(r, i), omega) for i in range(3)), start=())  # Ṙ = R ω̂
-        energy = self.potential(placed[1], _moving(r, turning), _moving(place, mat_vec(r, v)))
+        energy = self.potential(placed[1], moving(r, turning), moving(place, mat_vec(r, v)))
         return total + energy.parts[0] if isinstance(energy, UserNumber) else total
 
     def jumps(self, placed: Any) -> tuple[Any, ...]:
@@ -249,91 +270,32 @@ class UserFrame(NamedTuple):
         moving = cross_add(omega, self.origin, v)
         return mat_vec(self.axes, omega), mat_vec(self.axes, moving)
 
+    def felt(self, x: Motion) -> tuple[Vec, Vec]:
+        """Return ω̇ and the specific force at the user's origin, in the user's body axes."""
+        turning, point = x.felt[:3], x.felt[3:]
+        swing = cross(x.omega, cross(x.omega, self.origin))
+        moving = cross_add(turning, self.origin, add(point, swing))
+        return mat_vec(self.axes, turning), mat_vec(self.axes, moving)
+
     def to_joint_axes(self, torque: Vec, force: Vec) -> Wrench:
         pull = mat_t_vec(self.axes, force)
         return cross_add(self.origin, pull, mat_t_vec(self.axes, torque)), pull
 
 
-# ---- constraints -------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class UserConstraint(Element):
-    """User's constraint h(R, r) = 0."""
-
-    does_work: ClassVar = False
-    function: Function
-    rows: int = 1
-    is_translational: bool = True
-
-    def row(self, place: int, i: int) -> AddedRow:
-        return UserRow(self, place, i)
-
-    def placed(self, given: dict[str, Any], frames: Frames) -> tuple[Any, ...]:
-        return UserFrame.of(frames), tuple(given.values())
-
-
-class UserRow(AddedRow):
-    """Row of a user's constraint; dual numbers give its J and η."""
-
-    @property
-    def is_translational(self) -> bool:  # type: ignore[override]
-        return bool(self.element.is_translational)
-
-    def __str__(self) -> str:
-        return self.element.function.name + (str(self.i + 1) if self.element.rows > 1 else "")
-
-    def _of(self, body: HeldBody, r: Any, place: Any) -> Any:
-        return self.element.function(self.placed(body)[1], r, place)[self.i]
-
-    def value(self, x: Kinematics, body: HeldBody) -> Any:
-        h = self._of(body, *UserFrame(*self.placed(body)[0]).pose(x.q, x.d))
-        return h.value if isinstance(h, UserNumber) else h
-
-    def jacobian(self, x: Kinematics, body: HeldBody) -> Vec:
-        """Derivative along the six unit twists, Ṙ = R ω̂ and ṙ = R v in the user's body axes."""
-        frame = UserFrame(*self.placed(body)[0])
-        r, place = frame.pose(x.q, x.d)
-        entries = []
-        for axis in range(3):
-            a, b, c = row(r, axis)
-            for entry, turning in ((a, (ZERO, -c, b)), (b, (c, ZERO, -a)), (c, (-b, a, ZERO))):
-                entries.append(UserNumber(entry, turning + ZERO3))
-        places = [UserNumber(place[axis], ZERO3 + row(r, axis)) for axis in range(3)]
-        h = self._of(body, tuple(entries), tuple(places))
-        slope = h.parts if isinstance(h, UserNumber) else ZERO6
-        torque, force = frame.to_joint_axes(slope[:3], slope[3:])
-        return cross_add(x.arm, force, torque) + x.translation(mat_vec(x.q, force), force)
-
-    def acceleration(self, x: Kinematics, body: HeldBody) -> Any:
-        """Return η = −ḧ at V̇ = 0, where R̈ = R ω̂²."""
-        frame = UserFrame(*self.placed(body)[0])
-        r, place = frame.pose(x.q, x.d)
-        omega, v = frame.twist(x.omega, x.point_rate)
-        swing = cross(x.omega, cross(x.omega, frame.origin))
-        entries = []
-        for axis in range(3):
-            along = row(r, axis)
-            rate = cross(along, omega)  # (aᵀ ω̂)ᵀ = a×ω
-            entries += [_second(*xs) for xs in zip(along, rate, cross(rate, omega), strict=True)]
-        bend = mat_vec(r, mat_vec(frame.axes, add(x.point_bias, swing)))
-        places = [_second(*xs) for xs in zip(place, mat_vec(r, v), bend, strict=True)]
-        h = self._of(body, tuple(entries), tuple(places))
-        slope = h.parts[0] if isinstance(h, UserNumber) else ZERO
-        return -slope.parts[0] if isinstance(slope, UserNumber) and slope.parts else ZERO
-
-
-def _moving(values: Vec, rates: Vec) -> Vec:
+def moving(values: Vec, rates: Vec) -> Vec:
     """Numbers with their first derivatives."""
     return tuple(UserNumber(plain(x), (rate,)) for x, rate in zip(values, rates, strict=True))
 
 
-def _second(value: Any, rate: Any, bend: Any) -> UserNumber:
+def second(value: Any, rate: Any, bend: Any) -> UserNumber:
     """A number with its first and second derivative."""
     return UserNumber(UserNumber(plain(value), (rate,)), (UserNumber(plain(rate), (bend,)),))
 
 
 # ---- passive elements --------------------------------------------------------------------------
+
+
+FELT = ("alpha", "specific_force")  # arguments of functions that depend on accelerations
 
 
 class Passive(Element):
@@ -349,10 +311,15 @@ class Passive(Element):
     def power(self, placed: Any, x: Motion, wrench: Wrench) -> Any:
         return ZERO
 
+    @property
+    def feels(self) -> bool:
+        return any(FELT[0] in dict(f.arguments) for f in self.functions)
+
     def arguments(self, placed: Any, x: Motion) -> tuple[Any, ...]:
-        """Arguments t, R, r, omega and v of the function, in the user's frames."""
+        """Arguments t, R, r, omega and v of the function, and FELT, in the user's frames."""
         frame = UserFrame(*placed[0])
-        return x.time, *frame.pose(x.q, x.place), *frame.twist(x.omega, x.v)
+        motion = x.time, *frame.pose(x.q, x.place), *frame.twist(x.omega, x.v)
+        return (*motion, *frame.felt(x)) if self.feels else motion
 
     def evaluate(self, placed: Any, x: Motion, noise: Noise | None = None) -> Any:
         """Evaluate the function at a motion."""
@@ -424,17 +391,66 @@ class _Starting(Passive):
         return values
 
 
-@dataclass(frozen=True)
-class UserStates(_Starting):
-    """User's extra states, integrated from their derivatives."""
+class AddedStates(_Starting):
+    """Extra states, integrated from their derivatives.
 
-    bounds_steps: ClassVar = True
-    function: Function
+    depends_on_pose : True if the initial values depend on the pose at the start.
+    """
+
+    depends_on_pose: ClassVar = False
     states: Shapes
 
     @property
     def own(self) -> Shapes:
         return self.states
+
+    def at_start(self, placed: Any, x: Motion | None) -> Vec:
+        """Initial values.   x : motion at the start, if they depend on the pose."""
+        return self.initial(placed)
+
+    def rates(self, placed: Any, x: Motion) -> Vec:
+        """Derivatives of all states, flattened."""
+        raise NotImplementedError
+
+
+@dataclass(frozen=True)
+class TurnCounter(AddedStates):
+    """Angle of a joint's axis without end: the integral of its rate."""
+
+    depends_on_pose: ClassVar = True
+    needs_axis: ClassVar = True
+    states: Shapes
+
+    @property
+    def shapes(self) -> dict[str, Shape]:
+        return {"start": ()}
+
+    def placed(self, given: dict[str, Any], frames: Frames) -> tuple[Any, ...]:
+        return UserFrame.of(frames), (), (given["start"],)
+
+    def at_start(self, placed: Any, x: Motion | None) -> Vec:
+        """Angle of the pose, with the whole turns of the initial value."""
+        assert x is not None
+        (start,) = self.initial(placed)
+        return (counted_turn(x.q, start),)
+
+    def rates(self, placed: Any, x: Motion) -> Vec:
+        return (x.omega[2],)
+
+
+def counted_turn(q: Mat, near: Any) -> Any:
+    """Angle about e₃, with the whole turns that bring it nearest to another angle, rad."""
+    turn = atan2(q[3], q[0])
+    return fma(2.0 * PI, rint((near - turn) * (0.5 / PI)), turn)
+
+
+@dataclass(frozen=True)
+class UserStates(AddedStates):
+    """User's extra states."""
+
+    bounds_steps: ClassVar = True
+    function: Function
+    states: Shapes
 
     def rates(self, placed: Any, x: Motion) -> Vec:
         """Derivatives of all states, flattened."""

@@ -1,4 +1,4 @@
-"""The rigid body in joint axes, and Newton–Euler's equations in both c-spaces.
+"""Newton–Euler's equations of a rigid body in joint axes are given for both c-spaces.
 
 Joint axes. Every problem is transformed to the joint's own frames before the first step and back
 after the last: Q = GᵣᵀRBᵣ turns the body's joint frame to the ground's. Rows of the constraint
@@ -22,6 +22,7 @@ from typing import Any, NamedTuple
 from lierb.kernels.functions.signals import NO_SIGNALS, Signals
 from lierb.kernels.groups import ambient, ambientxr3, quaternion, quaternionxr3, se3, so3xr3
 from lierb.kernels.numbers.arithmetic import fma, where
+from lierb.kernels.numbers.dual import Dual, parts_of, values
 from lierb.kernels.numbers.number import Number
 from lierb.kernels.numbers.vec import (
     IDENTITY,
@@ -55,7 +56,10 @@ Turn = Callable[[Vec], Vec]  # transforms a vector's components to other axes
 
 
 class Parameters(NamedTuple):
-    """A body and its joint in the user's frames; SI units, rotation matrices row by row."""
+    """The parameters of a body and its joint are in the user's frames.
+
+    Units are SI; rotation matrices are row by row.
+    """
 
     mass: Any
     inertia: Mat  # about the body frame's origin
@@ -68,17 +72,17 @@ class Parameters(NamedTuple):
 
 
 def frames_of(p: Parameters) -> Frames:
-    """Frames for the transformation of forces' points and directions to joint axes."""
+    """Return the frames for transforming forces' points and directions to joint axes."""
     return Frames(p.ground, *p.body)
 
 
 def closed_pose(ground: Pose, body: Pose, length: Any) -> Pose:
-    """Pose C = G (I, length·e₃) B⁻¹ of a joint whose frames coincide, or are a rod apart."""
+    """Return C = G (I, length·e₃) B⁻¹ of a joint whose frames coincide, or are a rod apart."""
     return se3.compose(se3.compose(ground, (IDENTITY, (ZERO, ZERO, length))), se3.inverse(body))
 
 
 class BodyConstants(NamedTuple):
-    """Constants of a body in joint axes, for the equations of motion."""
+    """Hold the constants of a body in joint axes, for the equations of motion."""
 
     mass: Number
     inertia: Mat  # Θ about the centre of mass
@@ -97,6 +101,8 @@ class BodyConstants(NamedTuple):
     # For a body that turns about a point, in principal axes: K₁ K₂ K₃; K₂ − K₃, K₃ − K₁, K₁ − K₂
     moments: Vec = ()
     differences: Vec = ()
+    # K₁₂, K₁₃ and K₂₃ there: structurally zero, with derivatives, along which the axes are fixed
+    products: Vec = ()
     dropped: Number = ZERO  # number of dependent rows at the start
     elements: tuple[Any, ...] = ()  # parameters of each force and each further constraint
     signals: Signals = NO_SIGNALS  # at the time of the evaluation
@@ -124,7 +130,7 @@ class BodyConstants(NamedTuple):
 
 
 def girth_of(*bodies: tuple[Any, Mat]) -> Number:
-    """Square of the radius of gyration of several bodies together, tr Θ / 2m, m².
+    """Return the square of the radius of gyration of several bodies together, tr Θ / 2m, m².
 
     bodies : mass and inertia about the centre of mass of each.
     """
@@ -136,7 +142,7 @@ def girth_of(*bodies: tuple[Any, Mat]) -> Number:
 
 
 class Kinematics(NamedTuple):
-    """Kinematic quantities that constraint rows depend on."""
+    """Constraint rows depend on these kinematic quantities."""
 
     q: Mat
     d: Vec  # the joint's point in the ground's joint frame
@@ -152,16 +158,16 @@ class Kinematics(NamedTuple):
         return Motion(self.time, self.q, self.d, self.omega, self.point_rate)
 
     def translation(self, ground: Vec, body: Vec) -> Vec:
-        """Translational part of a row along a direction, given in ground axes and in body axes."""
+        """Return the translational part of a row along a direction in ground and in body axes."""
         return body if self.is_body_fixed else ground
 
     def at_point(self) -> Kinematics:
-        """Kinematics for rows that act on ω and on the joint point's velocity, in body axes."""
+        """Return the kinematics for rows on ω and on the joint point's velocity, in body axes."""
         return self._replace(arm=ZERO3, point_bias=ZERO3, is_body_fixed=True)
 
 
 class Frames(NamedTuple):
-    """Transformation from the user's frames to joint axes, of points and directions."""
+    """Transform points and directions from the user's frames to joint axes."""
 
     ground: Pose
     axes: Mat  # the joint's axes in the user's body frame
@@ -181,7 +187,11 @@ class Frames(NamedTuple):
 
 
 class Motion(NamedTuple):
-    """Motion on which applied forces depend; body points are relative to the joint's point."""
+    """Applied forces depend on the motion; body points are relative to the joint's point.
+
+    felt : ω̇, and the acceleration of the joint's point less gravity, in body axes; for elements
+        that depend on accelerations, else empty.
+    """
 
     time: Number
     q: Mat
@@ -189,13 +199,14 @@ class Motion(NamedTuple):
     omega: Vec
     v: Vec  # velocity of the joint's point, in body axes
     signals: Signals = NO_SIGNALS
+    felt: Vec = ()
 
     def place_of(self, point: Vec) -> Vec:
-        """Position of a point of the body in the ground's joint frame."""
+        """Return the position of a point of the body in the ground's joint frame."""
         return mat_vec_add(self.q, point, self.place)
 
     def velocity_of(self, point: Vec) -> Vec:
-        """Velocity of a point of the body, in body axes."""
+        """Return the velocity of a point of the body, in body axes."""
         return cross_add(self.omega, point, self.v)
 
 
@@ -221,7 +232,16 @@ def _body(p: Parameters, origin: Vec, arm: Vec) -> BodyConstants:
 
 def gyroscopic(body: BodyConstants, omega: Vec) -> Vec:
     """Return (Kω) × ω of a body that turns about a point."""
-    return tuple(d * w for d, w in zip(body.differences, _products(omega), strict=True))
+    torque = tuple(d * w for d, w in zip(body.differences, _products(omega), strict=True))
+    if not body.products:
+        return torque
+    return add(torque, cross(_of_products(body, omega), omega))
+
+
+def _of_products(body: BodyConstants, a: Vec) -> Vec:
+    """Return the part of K a from the products of inertia, which has derivatives only."""
+    (xy, xz, yz), (x, y, z) = body.products, a
+    return fma(xy, y, xz * z), fma(xy, x, yz * z), fma(xz, x, yz * y)
 
 
 def _products(omega: Vec) -> Vec:
@@ -247,14 +267,17 @@ def spinning(body: BodyConstants, omega: Vec, fall: Vec, torque: Vec) -> Vec:
         rate = fma(pull * c[j], fall[k], -((pull * c[k]) * fall[j]))
         rate = fma(body.differences[i] * mobility, products[i], rate)
         rates.append(fma(mobility, torque[i], rate))
-    return tuple(rates)
+    if not body.products:
+        return tuple(rates)
+    more = sub(cross(_of_products(body, omega), omega), _of_products(body, tuple(rates)))
+    return tuple(fma(1.0 / k, m, x) for k, m, x in zip(body.moments, more, rates, strict=True))
 
 
 SLENDER = 1e3  # m c²/tr Θ above which Θ is taken in axes along c before m c² is added
 
 
 def about_a_point(body: BodyConstants) -> tuple[Mat, Vec, Vec, Vec]:
-    """Principal axes at the joint's point, as the columns of a rotation.
+    """Return the principal axes at the joint's point, as the columns of a rotation.
 
     Also returns, in these axes, c, the moments K_i, and K₂ − K₃, K₃ − K₁, K₁ − K₂. If Θ is small
     relative to m c², the moment about c is accurate nevertheless, and so are the differences.
@@ -275,13 +298,59 @@ def about_a_point(body: BodyConstants) -> tuple[Mat, Vec, Vec, Vec]:
     return mat_mat(along, turn), mat_t_vec(turn, aligned), moments, differences
 
 
+class PrincipalAxes(NamedTuple):
+    """Constants of a body in its principal axes at a point; see `about_a_point`.
+
+    products : K₁₂, K₁₃, K₂₃; empty without derivatives.
+    """
+
+    turn: Mat
+    centre: Vec
+    moments: Vec
+    differences: Vec
+    products: Vec = ()
+
+    @property
+    def inertia(self) -> Mat:
+        """Return K, row by row."""
+        (x, y, z), (xy, xz, yz) = self.moments, self.products or ZERO3
+        return (x, xy, xz, xy, y, yz, xz, yz, z)
+
+
+def principal_axes_at_point(body: BodyConstants) -> PrincipalAxes:
+    """Return the constants in the principal axes at the joint's point; the axes are fixed.
+
+    Any axes would do, and those of equal moments have no derivative. K has one, off its diagonal
+    too.
+    """
+    axes = PrincipalAxes(*about_a_point(values(body)))
+    c = sub(body.com, body.arm)
+    if not any(map(parts_of, (body.mass, *body.inertia, *c))):
+        return axes
+    about_point = axpy(body.mass, unit_inertia(c), body.inertia)
+    k = mat_t_mat(axes.turn, mat_mat(about_point, axes.turn))
+    centre = mat_t_vec(axes.turn, c)
+
+    def along(value: Any, slope: Any) -> Any:
+        return Dual(value, parts_of(slope)) if parts_of(slope) else value
+
+    pairs = zip(axes.differences, ((1, 2), (2, 0), (0, 1)), strict=True)
+    return PrincipalAxes(
+        axes.turn,
+        tuple(map(along, axes.centre, centre)),
+        tuple(map(along, axes.moments, k[::4])),
+        tuple(along(d, k[4 * i] - k[4 * j]) for d, (i, j) in pairs),
+        tuple(along(ZERO, k[i]) for i in (1, 2, 5)),
+    )
+
+
 def inertia_about_com(p: Parameters) -> Mat:
-    """Inertia about the centre of mass, in the user's body axes  (Steiner)."""
+    """Return the inertia about the centre of mass, in the user's body axes  (Steiner)."""
     return sub(p.inertia, scale(p.mass, unit_inertia(p.com)))
 
 
 def unit_inertia(c: Vec) -> Mat:
-    """Inertia (c·c) I − c cᵀ of a unit mass at c."""
+    """Return the inertia (c·c) I − c cᵀ of a unit mass at c."""
     x, y, z = c
     xx, yy, zz = x * x, y * y, z * z
     xy, xz, yz = -(x * y), -(x * z), -(y * z)
@@ -348,12 +417,12 @@ class SE3:
 
     @staticmethod
     def potential_energy(body: BodyConstants, pose: Pose) -> Number:
-        """Potential energy of gravity."""
+        """Return the potential energy of gravity."""
         return _potential_energy(body, mat_vec_add(pose[0], body.com, pose[1]))
 
 
 class SO3xR3:
-    """Mixed velocity (ω, ṙ): ω in body axes, ṙ in the ground's; the body frame at the COM."""
+    """The velocity is mixed, (ω, ṙ): ω in body axes, ṙ in the ground's; body frame at the COM."""
 
     group: ModuleType = so3xr3
     charts: ModuleType = quaternionxr3
@@ -408,7 +477,7 @@ class SO3xR3:
 
     @staticmethod
     def potential_energy(body: BodyConstants, pose: Pose) -> Number:
-        """Potential energy of gravity."""
+        """Return the potential energy of gravity."""
         return _potential_energy(body, pose[1])
 
 

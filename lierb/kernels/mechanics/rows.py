@@ -53,6 +53,8 @@ class Row:
     is_holonomic : True if the row constrains the pose.
     has_value : True if h can be computed from this row alone.
     is_of_joint : True for a row of the joint, which depends on D alone.
+    depends_on_time : True for a row of a motor, whose position or rate is a function of time.
+    second : part of the row at a second joint, for a row that couples two; then J V is a sum.
     parameters : joint parameters of the row, with their units.
     """
 
@@ -60,6 +62,8 @@ class Row:
     is_holonomic: bool = True
     has_value: bool = True
     is_of_joint: bool = True
+    depends_on_time: bool = False
+    second: Row | None = None
     parameters: ClassVar[dict[str, str]] = {}
 
     @property
@@ -113,13 +117,17 @@ class Row:
         """Prescribed value of J V."""
         return ZERO
 
+    def prescribed_place(self, x: Kinematics, body: HeldBody) -> Number:
+        """Prescribed coordinate of a row that depends on time."""
+        return ZERO
+
 
 Rows = tuple[Row, ...]
 
 
 def fixed_axes(rows: Rows) -> tuple[int, ...]:
     """Return the body axes about which rows prevent turning, in order."""
-    axes = {r.fixed_axis for r in rows if r.is_holonomic and r.fixed_axis is not None}
+    axes = {r.fixed_axis for r in rows if r.is_of_joint and r.fixed_axis is not None}
     return tuple(sorted(axes))
 
 
@@ -341,7 +349,7 @@ class ConstantVelocity(JointRow):
 
 @dataclass(frozen=True)
 class AddedRow(Row):
-    """Row `i` of the element at index `place`: a motor's speed, or a user's constraint."""
+    """Row `i` of the element at index `place`: a motor's motion, or a user's constraint."""
 
     element: Any
     place: int

@@ -1,4 +1,6 @@
-"""The index-1 saddle point  [[M, Jᵀ], [J, 0]] (V̇, λ) = (ad_Vᵀ M V + W, η)  (Müller, eq. index1).
+"""Solve the index-1 saddle point.
+
+It is  [[M, Jᵀ], [J, 0]] (V̇, λ) = (ad_Vᵀ M V + W, η)  (Müller, eq. index1).
 
 It is solved at the joint's point P, in body axes, for the angular acceleration α and the
 acceleration a = Qᵀd̈ of P. There each `d` or `Omega` row, and a motor's speed, prescribes one
@@ -49,7 +51,7 @@ OPEN_PIVOT, ROUNDED_PIVOT = 10.0, 1e-7
 
 
 class Solution(NamedTuple):
-    """Solution of the saddle point."""
+    """Hold the solution of the saddle point."""
 
     turning: Vec  # α
     moving: Vec  # a
@@ -121,7 +123,7 @@ def solve(
 def _complement(
     support: Support, scales: _Scales, arms: list[Vec], excess: list[Number]
 ) -> tuple[Vec, list[tuple[Load, Vec, Vec]], Number, Number]:
-    """Multipliers of rows by the Schur complement on the null space.
+    """Return multipliers of rows by the Schur complement on the null space.
 
     arms : their rows of J.   Also returns each row's load with its α and a, and `singular` and
     `dropped`.
@@ -162,7 +164,7 @@ def kinds_of(rows: Rows) -> tuple[dict[int, Row], dict[int, Row], list[Row]]:
 
 
 class _Scales:
-    """Sizes of rows and loads in the metric of the inertia about P, its diagonal only."""
+    """Measure rows and loads in the metric of the inertia about P, its diagonal only."""
 
     def __init__(
         self, body: BodyConstants, support: Support, load: Load, velocity: Vec | None
@@ -174,14 +176,14 @@ class _Scales:
         self.body, self.support, self.load, self.velocity = body, support, load, velocity
 
     def of(self, wrench: Vec) -> Number:
-        """Square of the size of a row or of a wrench."""
+        """Return the square of the size of a row or of a wrench."""
         total: Number = ZERO
         for x, easy in zip(wrench, self.mobility, strict=True):
             total = fma(x * x, easy, total)
         return total
 
     def acceleration(self, arm: Vec) -> Number:
-        """Bound on the acceleration that load and motion can cause along a row."""
+        """Return the bound on the acceleration that load and motion can cause along a row."""
         body, c, load = self.body, self.support.centre, self.load
         forced = sqrt(self.of(cross_add(c, load.force, load.torque) + load.force))
         moved: Number = ZERO
@@ -243,7 +245,9 @@ def multipliers_of(
 
 
 class _Elimination:
-    """S = L D Lᵀ and λ = S⁻¹ excess, without rows whose pivots in D are within the tolerance.
+    """Factor S = L D Lᵀ and solve λ = S⁻¹ excess.
+
+    Rows whose pivots in D are within the tolerance are left out.
 
     Arguments are those of `multipliers_of`.   count : number of rows that are left out.
     """

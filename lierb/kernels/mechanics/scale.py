@@ -40,7 +40,7 @@ def rounding_of(p: Parameters, pose: Pose) -> Any:
 
 
 class PoseTolerances(NamedTuple):
-    """Tolerances of a start's pose: largest position and rotation error, and ℓ."""
+    """Hold the tolerances of a start's pose: largest position and rotation error, and ℓ."""
 
     length: Number  # ℓ, m
     position: Number  # m
@@ -48,14 +48,14 @@ class PoseTolerances(NamedTuple):
 
 
 class TwistTolerances(NamedTuple):
-    """Tolerances of a start's twist."""
+    """Hold the tolerances of a start's twist."""
 
     velocity: Number  # m/s
     rotation_rate: Number  # rad/s
 
 
 def pose_tolerances(p: Parameters, pose: Pose) -> PoseTolerances:
-    """Tolerances of a pose in the user's frames."""
+    """Return the tolerances of a pose in the user's frames."""
     length = length_of(p)
     return PoseTolerances(length, fma(START_TOLERANCE, length, rounding_of(p, pose)))
 
@@ -75,7 +75,7 @@ def twist_tolerances(
     speed = norm(cross_add(omega, p.com, twist[3:])) + length * norm(omega)
     rate = sqrt(norm(p.gravity) / length)  # rad/s
     for r in rows:
-        if not r.is_holonomic:
+        if r.depends_on_time:
             rate = rate + sqrt(absolute(r.acceleration(x, body)))
     rounding = ROUNDING * rate
     return TwistTolerances(
@@ -85,7 +85,7 @@ def twist_tolerances(
 
 
 def bearings(rows: Rows, q: Mat) -> list[Number]:
-    """Numbers that are all positive unless the body is turned half round in its joint.
+    """Return numbers that are all positive unless the body is turned half round in its joint.
 
     Half a turn of an axis that `Omega` rows keep parallel changes no row's value.
     """

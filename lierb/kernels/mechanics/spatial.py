@@ -1,4 +1,4 @@
-"""Transformation of twists, wrenches and inertias between frames, angular part first.
+"""Transform twists, wrenches and inertias between frames, angular part first.
 
 Formulas of Featherstone, Rigid Body Dynamics Algorithms (2008), ch. 2 and 7. A frame is a pose
 (R, p): its axes and its origin in the outer frame.
@@ -46,7 +46,7 @@ def wrench_from(frame: Pose, wrench: Vec) -> Vec:
 
 
 class Rigid(NamedTuple):
-    """Mass, first moment and inertia of a rigid body about the origin of its frame."""
+    """A rigid body has mass, first moment and inertia about the origin of its frame."""
 
     mass: Number  # kg
     moment: Vec  # m c, kg m
@@ -59,15 +59,16 @@ class Rigid(NamedTuple):
         return angular + cross_add(omega, self.moment, axpy(self.mass, v, start[3:]))
 
     def bias(self, omega: Vec) -> Vec:
-        """Wrench (ω × J ω, ω × (ω × m c)) of a body that turns at ω, its origin not accelerating.
+        """Return the wrench (ω × J ω, ω × (ω × m c)) of a body that turns at ω.
 
-        It does not contain the velocity v of the origin. The expression −ad_Vᵀ M V has the same
-        value if V̇ is zero, but the rounding of its v × m v is a torque.
+        The origin of its frame does not accelerate. The wrench does not contain the velocity v of
+        the origin. The expression −ad_Vᵀ M V has the same value if V̇ is zero, but the rounding of
+        its v × m v is a torque.
         """
         return cross(omega, mat_vec(self.inertia, omega)) + cross(omega, cross(omega, self.moment))
 
     def needed(self, acceleration: Vec, omega: Vec) -> Vec:
-        """Wrench needed for an acceleration, (ω̇, acceleration of the origin), at ω."""
+        """Return the wrench needed for an acceleration, (ω̇, acceleration of the origin), at ω."""
         return self.momentum(acceleration, self.bias(omega))
 
     def from_frame(self, frame: Pose) -> Articulated:
@@ -88,7 +89,10 @@ class Rigid(NamedTuple):
 
 
 class Articulated(NamedTuple):
-    """Articulated inertia [[J, H], [Hᵀ, L]] of connected bodies at the first; J, L symmetric."""
+    """[[J, H], [Hᵀ, L]] is the articulated inertia of connected bodies at the first.
+
+    J and L are symmetric.
+    """
 
     angular: Mat
     mixed: Mat
@@ -123,7 +127,7 @@ class Articulated(NamedTuple):
 
 
 def _symmetric(entry: Callable[[int, int], Any]) -> Mat:
-    """Symmetric matrix whose lower triangle is entry(i, j)."""
+    """Return the symmetric matrix whose lower triangle is entry(i, j)."""
     lower = {(i, j): entry(i, j) for i in range(3) for j in range(i + 1)}
     return tuple(lower[max(i, j), min(i, j)] for i in range(3) for j in range(3))
 

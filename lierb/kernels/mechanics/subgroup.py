@@ -1,4 +1,4 @@
-"""Joints whose motions are a subgroup H of SE(3): velocities as coordinates of its algebra.
+"""If a joint's motions are a subgroup H of SE(3), velocities are coordinates of its algebra.
 
 The momentum μ = NᵀMV is integrated. A Runge–Kutta method takes the same steps in μ as in V, its
 linear image; a stage computes V = N(NᵀMN)⁻¹μ but not M V.
@@ -25,10 +25,18 @@ Slots = tuple[int, ...]
 
 
 def slots_of(rows: Rows) -> Slots:
-    """Slots of (ω, v): the index of each component's coordinate, or FIXED or PITCHED."""
+    """Return the slots of (ω, v): index of each component's coordinate, or FIXED or PITCHED."""
     bound = dict(r.slot for r in rows if r.slot)
     free = itertools.count()
     return tuple(bound[i] if i in bound else next(free) for i in range(6))
+
+
+def is_commutative(slots: Slots) -> bool:
+    """Return whether all motions of H commute: it does not turn, or about and along one axis."""
+    turns, slides = slots[:3], slots[3:]
+    if turns == (FIXED,) * 3:
+        return True
+    return turns[:2] == (FIXED, FIXED) and slides[:2] == (FIXED, FIXED)
 
 
 def lifted(slots: Slots, nu: Vec, pitch: Number) -> Vec:
@@ -72,7 +80,7 @@ def reduced_inertia(slots: Slots, body: BodyConstants) -> list[list[Number]]:
 
 
 def inverse(matrix: list[list[Number]]) -> Vec:
-    """Inverse of a symmetric positive definite matrix, row by row, by Gauss–Jordan elimination.
+    """Invert a symmetric positive definite matrix, row by row, by Gauss–Jordan elimination.
 
     The result is symmetric to the last bit, so that half of it is stored.
     """

@@ -1,4 +1,4 @@
-"""Motion of a body under a load, with its joint point P held along some directions.
+"""Compute the motion of a body under a load, its joint point P held along some directions.
 
 Let c be the vector from P to the centre of mass, n_h the unit vectors along which P is held, and
 w_h = c × n_h. The inertia of a rotation is
@@ -39,7 +39,7 @@ from lierb.kernels.numbers.zero import ZERO
 
 
 class Load(NamedTuple):
-    """A wrench in body axes about the centre of mass, and its torque about P.
+    """A load is a wrench in body axes about the centre of mass, and its torque about P.
 
     `about_point` may leave out terms that are zero, such as c × c.
     """
@@ -50,7 +50,7 @@ class Load(NamedTuple):
 
 
 class Support:
-    """A body whose point P is held along some directions, and its rotation about some axes.
+    """A body's point P is held along some directions, and its rotation about some axes.
 
     held : indices of the ground axes along which P is held.   fixed : body axes about which α is
     prescribed: none, two or all.
@@ -75,21 +75,21 @@ class Support:
         return turning, self.moving(load, turning, moves)
 
     def holding(self, load: Load, turning: Vec, moves: Vec) -> Vec:
-        """Forces that hold P, one along each direction."""
+        """Return the forces that hold P, one along each direction."""
         return tuple(
             fma(self.body.mass, dot(turning, w) + move, -dot(n, load.force))
             for n, w, move in zip(self.directions, self.levers, moves, strict=True)
         )
 
     def torques(self, load: Load, turning: Vec, holding: Vec) -> Vec:
-        """Torques about the fixed body axes; structural zeros about the others."""
+        """Return the torques about the fixed body axes; structural zeros about the others."""
         missing = sub(mat_vec(self.body.inertia, turning), load.torque)
         for w, force in zip(self.levers, holding, strict=True):
             missing = axpy(force, w, missing)
         return tuple(x if i in self.fixed else ZERO for i, x in enumerate(missing))
 
     def force(self, holding: Vec) -> Vec:
-        """Sum of the forces that hold P, as a vector."""
+        """Return the sum of the forces that hold P, as a vector."""
         total = ZERO3
         for n, size in zip(self.directions, holding, strict=True):
             total = add(total, scale(size, n))

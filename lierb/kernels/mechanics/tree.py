@@ -1,4 +1,4 @@
-"""Kinematics of a tree of links.
+"""Compute the kinematics of a tree of links.
 
 A *node* is a link, or a massless frame between two motions that form one joint. It is connected
 to its parent node, or to the ground; D = (Q, d) is its frame in the joint's frame there. In joint
@@ -64,7 +64,7 @@ HERE: Pose = (IDENTITY, ZERO3)
 
 @dataclass(frozen=True)
 class Node:
-    """A link, or a massless frame, and the joint that connects it to its parent.
+    """A node is a link, or a massless frame, and the joint that connects it to its parent.
 
     parent : index of the parent node, or GROUND.   link : index of the link, or MASSLESS.
     cspace : "reduced" for coordinates on the joint, or the c-space of its pose, "SE3" or "SO3xR3".
@@ -84,7 +84,7 @@ class Node:
 
     @cached_property
     def free(self) -> tuple[int, ...]:
-        """Indices of the joint's six directions that are free; see `TreeMotion.free`."""
+        """Return indices of the joint's six directions that are free; see `TreeMotion.free`."""
         if not self.rows:
             return tuple(i for i, slot in enumerate(self.slots) if slot >= 0)
         held, fixed, _ = kinds_of(self.rows)
@@ -93,16 +93,17 @@ class Node:
 
     @cached_property
     def others(self) -> Rows:
-        """Rows that are solved with multipliers, not by the null space S."""
+        """Return the rows that are solved with multipliers, not by the null space S."""
         return tuple(kinds_of(self.rows)[2])
 
 
 @dataclass(frozen=True)
 class Connection:
-    """Two frames, on a node and on another node or the ground, and the rows between them.
+    """A connection has rows between two frames, on a node and on another node or the ground.
 
     hangs : True if the frames are those of the joint that connects `node` to its parent `other`.
     joint : index of the joint that has the frames; NONE for the frames of nodes and of the ground.
+    second : index of the joint with the second part of the rows, for rows that couple two joints.
     """
 
     node: int
@@ -110,10 +111,11 @@ class Connection:
     rows: Rows = ()
     hangs: bool = False
     joint: int = NONE
+    second: int = NONE
 
 
 class NodeConstants(NamedTuple):
-    """Constants of a node, in joint axes.
+    """Hold the constants of a node, in joint axes.
 
     rigid : mass, first moment and inertia about the joint's point.
     inertia : inertia about the centre of mass.   com : centre of mass.
@@ -134,7 +136,7 @@ class NodeConstants(NamedTuple):
 
 
 class Ends(NamedTuple):
-    """Frames of a connection on its two nodes, or on the ground, and the rows' parameters."""
+    """A connection has frames on its two nodes, or on the ground, and parameters of its rows."""
 
     inner: Pose
     outer: Pose
@@ -144,7 +146,7 @@ class Ends(NamedTuple):
 
 
 class TreeConstants(NamedTuple):
-    """Constants of a mechanism.
+    """Hold the constants of a mechanism.
 
     ends : frames of the plan's connections.   elements : parameters of each element.
     dropped : number of dependent rows at the start.
@@ -162,12 +164,12 @@ class TreeConstants(NamedTuple):
 
     @property
     def mass(self) -> Number:
-        """Mass of the first link, as an example of the number type."""
+        """Return the mass of the first link, as an example of the number type."""
         return next(n.rigid.mass for n in self.nodes if n.rigid.mass is not ZERO)
 
 
 class Relative(NamedTuple):
-    """Motion of a connection's inner frame relative to the outer one.
+    """Hold the motion of a connection's inner frame relative to the outer one.
 
     x : kinematics for rows.
     seat : the inner frame in the other node's frame, or in the ground's.
@@ -183,7 +185,7 @@ class Relative(NamedTuple):
 
 
 class TreeMotion:
-    """Motion of a tree at one state.
+    """Compute the motion of a tree at one state.
 
     poses : D of reduced nodes; C of others, in the ground's frame at the root of their tree.
     velocities : V_rel of reduced nodes; V of others, in their c-space.
@@ -262,14 +264,14 @@ class TreeMotion:
         return TreeMotion(self.nodes, self.body, self._poses, self._velocities, self.time)
 
     def columns(self, i: int) -> dict[int, Vec]:
-        """Twists of a node by unit rates of the free directions of its joint and its ancestors'."""
+        """Return a node's twists by unit rates of free directions of its joint and ancestors'."""
         if i not in self._columns:
             own = dict(zip(self.own[i], self.directions[i], strict=True))
             self._columns[i] = self._from_above(i) | own
         return self._columns[i]
 
     def _from_above(self, i: int) -> dict[int, Vec]:
-        """Twists of a node by unit rates of its ancestors' free directions."""
+        """Return a node's twists by unit rates of its ancestors' free directions."""
         parent = self.nodes[i].parent
         if parent == GROUND:
             return {}
@@ -293,7 +295,7 @@ class TreeMotion:
         return twist_at(self.steps[i], twist)
 
     def place(self, i: int) -> Pose:
-        """A node's frame in the ground's joint frame at the root of its tree."""
+        """Return a node's frame in the ground's joint frame at the root of its tree."""
         if i not in self._places:
             parent = self.nodes[i].parent
             step = self.steps[i]
@@ -304,7 +306,7 @@ class TreeMotion:
         return root_of(self.nodes, i)
 
     def pose(self, i: int) -> Pose:
-        """A node's frame in the ground frame."""
+        """Return a node's frame in the ground frame."""
         return se3.compose(self.body.nodes[self.root(i)].hang, self.place(i))
 
     def joint_pose(self, i: int) -> Pose:
@@ -340,12 +342,12 @@ class TreeMotion:
         return Relative(x, seat, bias[:3] + sub(bias[3:], cross(own[:3], own[3:])), fall)
 
     def kinematics(self, d: Pose, velocity: Vec) -> Kinematics:
-        """Kinematics for rows that act on ω̇ and on Qᵀd̈."""
+        """Return the kinematics for rows that act on ω̇ and on Qᵀd̈."""
         omega, v = velocity[:3], velocity[3:]
         return Kinematics(d[0], d[1], omega, ZERO3, v, ZERO3, True, self.time)
 
     def _fork(self, i: int, other: int) -> int:
-        """Last common ancestor of two nodes, or one of them; GROUND for absolute nodes."""
+        """Return the last common ancestor of two nodes or one of them; GROUND if absolute."""
         above = [GROUND]
         while other != GROUND and self.nodes[i].is_reduced:
             above.append(other)
@@ -355,7 +357,7 @@ class TreeMotion:
         return i
 
     def _seen_from(self, fork: int, i: int, of_ground: Callable[[int], Pose]) -> tuple[Pose, Vec]:
-        """A node's frame and twist relative to an ancestor, or to the ground.
+        """Return a node's frame and twist relative to an ancestor, or to the ground.
 
         They are composed along the tree, so that the motion of the ancestor causes no rounding.
         """
@@ -385,7 +387,7 @@ class TreeMotion:
         return [*turns, *(ZERO3 + row(q, j) for j in range(3) if j not in held)]
 
     def held(self, i: int, v: Vec) -> Vec:
-        """Part of a vector, in node axes, along the directions in which joint rows fix P."""
+        """Return a vector's part, in node axes, along the directions in which joint rows fix P."""
         held, _, _ = kinds_of(self.nodes[i].rows)
         if not held:
             return ZERO3
@@ -408,7 +410,9 @@ class TreeMotion:
 
 
 def carried_bias(turning: Vec, swept: Vec, relative: Vec) -> Vec:
-    """Centripetal and Coriolis part b, for a frame with twist `relative` on a turning frame.
+    """Return b, the centripetal and Coriolis part of an acceleration.
+
+    The frame with twist `relative` is on a turning frame.
 
     turning : ω′.   swept : ω′ × p.   All three are in the moving frame's axes.
     """
@@ -416,7 +420,7 @@ def carried_bias(turning: Vec, swept: Vec, relative: Vec) -> Vec:
 
 
 def root_of(nodes: Sequence[Node], i: int) -> int:
-    """Index of the root of a node's tree, a node on the ground."""
+    """Return the index of the root of a node's tree, a node on the ground."""
     while nodes[i].parent != GROUND:
         i = nodes[i].parent
     return i

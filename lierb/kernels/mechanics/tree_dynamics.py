@@ -1,4 +1,4 @@
-"""Dynamics of a tree of links: accelerations under loads and further rows.
+"""Compute the accelerations of a tree of links under loads and further rows.
 
 Every node has A = Ad(T⁻¹) A′ + b + S ν̇ (`lierb.kernels.mechanics.tree`). ν̇ is computed by
 articulated bodies, at a cost proportional to the number of nodes (Featherstone, Rigid Body Dynamics
@@ -24,7 +24,7 @@ from lierb.kernels.mechanics.saddle import less, multipliers_of
 from lierb.kernels.mechanics.spatial import Articulated, twist_at, wrench_from
 from lierb.kernels.mechanics.subgroup import inverse
 from lierb.kernels.mechanics.tree import GROUND, MASSLESS, TreeMotion, combined, joint_space_pays
-from lierb.kernels.mechanics.tree_rows import NodeRow, Response, stiffness_of
+from lierb.kernels.mechanics.tree_rows import NodeRow, Response, add_loads, stiffness_of
 from lierb.kernels.numbers.arithmetic import fma, sqrt
 from lierb.kernels.numbers.number import Number
 from lierb.kernels.numbers.vec import ZERO3, ZERO6, Vec, add, axpy, dot, neg, norm, sub
@@ -32,7 +32,7 @@ from lierb.kernels.numbers.zero import ZERO, is_zero
 
 
 class ArticulatedBodies:
-    """Solver by articulated inertias of a tree."""
+    """Solve for a tree by articulated inertias."""
 
     def __init__(self, motion: TreeMotion, rows: Sequence[NodeRow] = ()) -> None:
         self.motion = motion
@@ -63,7 +63,7 @@ class ArticulatedBodies:
                 carried[parent] = moved if before is None else before.and_also(moved)
 
     def momentum(self, i: int, twist: Vec) -> Vec:
-        """Momentum of the articulated body of a node."""
+        """Return the momentum of the articulated body of a node."""
         return _sum([part.momentum(twist) for part in self.inertias[i]])
 
     def _passed_on(self, i: int) -> Articulated:
@@ -84,7 +84,7 @@ class ArticulatedBodies:
         biases: Sequence[Vec] | None = None,
         fall: dict[int, Vec] | None = None,
     ) -> Response:
-        """Accelerations of the nodes under loads, wrenches about their frames' origins.
+        """Return the nodes' accelerations under loads, wrenches about their frames' origins.
 
         biases : b of each node.   fall : acceleration of the ground for each root, in its joint's
         axes. Without it, the nodes are at rest; with it, they have their velocities.
@@ -116,12 +116,12 @@ class ArticulatedBodies:
         return Response(tuple(moved), tuple(rates), tuple(totals))
 
     def transmitted(self, i: int, response: Response) -> Vec:
-        """Wrench by which a joint moves its node, about the node's frame."""
+        """Return the wrench by which a joint moves its node, about the node's frame."""
         return sub(self.momentum(i, response.moved[i]), response.totals[i])
 
 
 class JointSpace:
-    """Solver by the mass matrix of all free directions, cheaper if they are few.
+    """Solve by the mass matrix of all free directions, cheaper if they are few.
 
     Kane's method on the columns of `TreeMotion.columns`.
     """
@@ -155,7 +155,7 @@ class JointSpace:
         biases: Sequence[Vec] | None = None,
         fall: dict[int, Vec] | None = None,
     ) -> Response:
-        """Accelerations of the nodes under loads; see `ArticulatedBodies.respond`."""
+        """Return the accelerations of the nodes under loads; see `ArticulatedBodies.respond`."""
         motion = self.motion
         start: list[Vec] = []  # A at ν̇ = 0
         forces: list[Number] = [ZERO] * self.count
@@ -182,7 +182,7 @@ class JointSpace:
         return Response(tuple(moved), tuple(relative), tuple(totals))
 
     def transmitted(self, i: int, response: Response) -> Vec:
-        """Wrench by which a joint moves its node, about the node's frame."""
+        """Return the wrench by which a joint moves its node, about the node's frame."""
         motion = self.motion
         total = neg(response.totals[i])
         if motion.nodes[i].link != MASSLESS:
@@ -195,7 +195,7 @@ class JointSpace:
 
 
 class Factored:
-    """Factorisation Lᵀ D L of a symmetric positive definite matrix, given by its lower triangle.
+    """Factor a symmetric positive definite matrix, given by its lower triangle, to Lᵀ D L.
 
     Elimination begins at the last row: the pivots of a chain's last links are constant, so that
     their inverses are computed once.
@@ -236,7 +236,7 @@ def bodies_of(motion: TreeMotion, rows: Sequence[NodeRow] = ()) -> Bodies:
 
 
 def _net_loads(motion: TreeMotion, loads: dict[int, Vec], is_moving: bool) -> list[Vec]:
-    """Loads on all nodes, less the bias wrenches of their bodies if these move."""
+    """Return the loads on all nodes, less their bodies' bias wrenches if these move."""
     totals = [loads.get(i, ZERO6) for i in range(len(motion.nodes))]
     for i, node in enumerate(motion.nodes):
         if is_moving and node.link != MASSLESS:
@@ -261,7 +261,7 @@ def _times(matrix: Vec, x: Vec) -> Vec:
 
 
 class Solved(NamedTuple):
-    """Accelerations and multipliers of a tree with further rows.
+    """Hold the accelerations and multipliers of a tree with further rows.
 
     multipliers : λ of the rows, in order.   singular, dropped : as in `saddle.Solution`.
     bias : wrench s η of the stiff rows about each node; it is not a load.
@@ -274,7 +274,10 @@ class Solved(NamedTuple):
     bias: dict[int, Vec]
 
     def transmitted(self, bodies: Bodies, i: int) -> Vec:
-        """Wrench of a joint on its node, about the node's frame, without its rows' multipliers."""
+        """Return the wrench of a joint on its node, about the node's frame.
+
+        The multipliers of the joint's rows are not included.
+        """
         return add(bodies.transmitted(i, self.response), self.bias.get(i, ZERO6))
 
 
@@ -299,16 +302,11 @@ def solved(
             assert biases is not None
             size = each.stiffness * (each.wanted - dot(each.push, biases[each.node]))
             bias[each.node] = axpy(size, each.push, bias.get(each.node, ZERO6))
-            _add_loads(total, each.loads(size))
+            add_loads(total, each.loads(size))
     response = bodies.respond(total, biases, fall)
     responses = [bodies.respond(each.loads()) for each in rows]
     schur = [[rows[i].of(responses[j]) for j in range(i + 1)] for i in range(len(rows))]
-    excess = []
-    for each in rows:
-        difference = each.of(response) - each.wanted
-        if each.fall is not None:
-            difference = difference - dot(each.pull, ZERO3 + each.fall)
-        excess.append(difference)
+    excess = [each.of(response) - each.wanted - each.of_ground() for each in rows]
     scales = _TreeScales(bodies.motion, loads, fall)
     sizes = [scales.of(each) for each in rows]
     alone = [size / fma(each.stiffness, size, 1.0) for size, each in zip(sizes, rows, strict=True)]
@@ -321,18 +319,13 @@ def solved(
         violation,
     )
     for size, each in zip(multipliers, rows, strict=True):
-        _add_loads(total, each.loads(-size))
+        add_loads(total, each.loads(-size))
     response = bodies.respond(total, biases, fall)
     return Solved(response, multipliers, singular, dropped, bias)
 
 
-def _add_loads(total: dict[int, Vec], more: dict[int, Vec]) -> None:
-    for i, load in more.items():
-        total[i] = add(total[i], load) if i in total else load
-
-
 class _TreeScales:
-    """Sizes of rows and loads in the metric of each node's own inertia."""
+    """Measure rows and loads in the metric of each node's own inertia."""
 
     def __init__(
         self, motion: TreeMotion, loads: dict[int, Vec], fall: dict[int, Vec] | None
@@ -350,12 +343,16 @@ class _TreeScales:
         return total
 
     def of(self, row: NodeRow) -> Number:
-        """Square of the size of a row."""
-        size = self._square(row.node, row.push)
-        return size if row.other == GROUND else size + self._square(row.other, row.pull)
+        """Return the square of the size of a row."""
+        total: Number = ZERO
+        for each in row.parts:
+            total = total + self._square(each.node, each.push)
+            if each.other != GROUND:
+                total = total + self._square(each.other, each.pull)
+        return total
 
     def acceleration(self, row: NodeRow) -> Number:
-        """Bound on the acceleration of a row by loads and motion."""
+        """Return the bound on the acceleration of a row by loads and motion."""
         return sqrt(self.of(row)) * self._forced
 
     @cached_property

@@ -27,7 +27,7 @@ from lierb.kernels.mechanics.constraints import (
     rate_errors_squared,
     rotation_error_squared,
 )
-from lierb.kernels.mechanics.newton_euler import Kinematics, Motion
+from lierb.kernels.mechanics.newton_euler import Kinematics
 from lierb.kernels.mechanics.rows import FIXED, PITCHED, Rows, Screw
 from lierb.kernels.mechanics.spatial import (
     Articulated,
@@ -39,7 +39,7 @@ from lierb.kernels.mechanics.spatial import (
 )
 from lierb.kernels.mechanics.subgroup import Slots
 from lierb.kernels.mechanics.tree import HERE, Ends, NodeConstants, combined, free_directions
-from lierb.kernels.numbers.arithmetic import flatten, fma
+from lierb.kernels.numbers.arithmetic import flatten, fma, sqrt, where
 from lierb.kernels.numbers.vec import (
     IDENTITY,
     UNIT,
@@ -53,6 +53,7 @@ from lierb.kernels.numbers.vec import (
     mat_t_vec,
     mat_vec,
     neg,
+    norm,
     scale,
     sub,
 )
@@ -70,7 +71,6 @@ TURN, OMEGA, ARM, START, BY_RATES, PLACE, SPEED, PULLS = 0, 9, 12, 15, 21, 27, 3
 MOTION = (PULLS + 6 * MOST + MOST + MOST * MOST) | 1  # odd: nodes are in different cache sets
 # Rows of an articulated inertia, and of the wrench that acts on it.
 PASSED_WRENCH, PASSED = 21, 27
-FRAME_ROWS = 12  # of an element: the frame on its other node, before its own numbers
 
 
 class Kind(NamedTuple):
@@ -314,6 +314,22 @@ def transmitted(constants: Any, here: Any, load: Vec | None) -> Vec:
     return needed if load is None else sub(needed, load)
 
 
+def easy_of(constants: Any) -> Vec:
+    """Reciprocals of the inertia's diagonal about a node's origin and of its mass, or 0."""
+    rows = (INERTIA, INERTIA + 2, INERTIA + 5, MASS)
+    numbers = [constants[row] for row in rows]
+    return tuple(where(x > 0.0, 1.0 / where(x > 0.0, x, 1.0), 0.0) for x in numbers)
+
+
+def action_of(constants: Any, here: Any, slide: Vec) -> Any:
+    """‖ω‖ √(2 T) of a node's body, T its energy at ω and a velocity of its origin, in its axes."""
+    omega = mat_t_vec(here[TURN : TURN + 9], here[OMEGA : OMEGA + 3])
+    inertia = _symmetric(constants[INERTIA : INERTIA + 6])
+    rigid = Rigid(constants[MASS], constants[MOMENT : MOMENT + 3], inertia)
+    twist = omega + slide
+    return norm(omega) * sqrt(dot(rigid.momentum(twist), twist))
+
+
 def _turned(constants: Any, turn: Vec) -> Rigid:
     """A node's body in the ground's axes, about the node's origin."""
     moment = mat_vec(turn, constants[MOMENT : MOMENT + 3])
@@ -335,30 +351,6 @@ def moved(kind: Kind, constants: Any, chart: Any, x: Any) -> Chart:
     """C₀ exp X.   chart, x : rows of C₀ and of X/2."""
     half = kind.lifted(x, kind.pitch(constants))
     return kind.charts.compose_exp(kind.load_chart(chart), half)
-
-
-# ---- elements ------------------------------------------------------------------------------------
-
-
-def between(outer: Pose, here: Any, other: Any, time: Any) -> tuple[Motion, Vec]:
-    """Motion of a node relative to a frame on another one, and the node's place from the other's.
-
-    here, other : motions of both nodes, with places and velocities.
-    """
-    turn, place = here[TURN : TURN + 9], here[PLACE : PLACE + 3]
-    base, origin = other[TURN : TURN + 9], other[PLACE : PLACE + 3]
-    spin, drift = other[OMEGA : OMEGA + 3], other[SPEED : SPEED + 3]
-    q, d = se3.compose(se3.inverse(se3.compose((base, origin), outer)), (turn, place))
-    lever = sub(place, origin)
-    turning = sub(here[OMEGA : OMEGA + 3], spin)
-    moving = sub(here[SPEED : SPEED + 3], cross_add(spin, lever, drift))
-    return Motion(time, q, d, mat_t_vec(turn, turning), mat_t_vec(turn, moving)), lever
-
-
-def loads_of(wrench: tuple[Vec, Vec], here: Any, lever: Vec) -> tuple[Vec, Vec]:
-    """Wrenches on both nodes about their origins, for one in the axes of the first."""
-    torque, force = (mat_vec(here[TURN : TURN + 9], part) for part in wrench)
-    return torque + force, neg(cross_add(lever, force, torque) + force)
 
 
 # ---- measures ------------------------------------------------------------------------------------

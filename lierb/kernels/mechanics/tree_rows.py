@@ -1,4 +1,4 @@
-"""Accelerations of the nodes of a tree, and rows that constrain those of two nodes."""
+"""Rows constrain the accelerations of two nodes of a tree."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from lierb.kernels.mechanics.spatial import Pose, wrench_from
 from lierb.kernels.mechanics.tree import GROUND, Connection, Relative
 from lierb.kernels.numbers.arithmetic import fma
 from lierb.kernels.numbers.number import Number
-from lierb.kernels.numbers.vec import Vec, dot, scale
+from lierb.kernels.numbers.vec import ZERO3, Vec, add, dot, scale
 from lierb.kernels.numbers.zero import ZERO, is_zero
 
 
 class Response(NamedTuple):
-    """Accelerations of all nodes under some loads."""
+    """Hold the accelerations of all nodes under some loads."""
 
     moved: tuple[Vec, ...]  # A of each node, or of unit loads
     rates: tuple[Vec, ...]  # S ν̇
@@ -22,10 +22,11 @@ class Response(NamedTuple):
 
 
 class NodeRow(NamedTuple):
-    """A row on the accelerations of two nodes: push·A − pull·A_other = wanted.
+    """A row constrains the accelerations of two nodes: push·A − pull·A_other = wanted.
 
     push, pull : the row as wrenches about the nodes' frames.   fall : see `Relative`.
     stiffness : s, for a row of the joint that connects `node` to its parent `other`.
+    also : rest of the row, at a second joint.
     """
 
     node: int
@@ -35,33 +36,61 @@ class NodeRow(NamedTuple):
     fall: Vec | None
     wanted: Number
     stiffness: Number = ZERO
+    also: NodeRow | None = None
+
+    @property
+    def parts(self) -> tuple[NodeRow, ...]:
+        """The row at each of its joints."""
+        return (self,) if self.also is None else (self, self.also)
 
     def loads(self, size: Number = 1.0) -> dict[int, Vec]:
-        """Wrenches on the nodes for a multiplier −size."""
-        wrenches = {self.node: scale(size, self.push)}
-        if self.other != GROUND:
-            wrenches[self.other] = scale(-size, self.pull)
+        """Return the wrenches on the nodes for a multiplier −size."""
+        wrenches: dict[int, Vec] = {}
+        for each in self.parts:
+            add_loads(wrenches, {each.node: scale(size, each.push)})
+            if each.other != GROUND:
+                add_loads(wrenches, {each.other: scale(-size, each.pull)})
         return wrenches
 
     def of(self, response: Response) -> Number:
-        """Left-hand side of the row at some accelerations."""
-        total = dot(self.push, response.moved[self.node])
-        if self.other != GROUND:
-            return total - dot(self.pull, response.moved[self.other])
+        """Return the left-hand side of the row at some accelerations."""
+        total: Number = ZERO
+        for each in self.parts:
+            total = total + dot(each.push, response.moved[each.node])
+            if each.other != GROUND:
+                total = total - dot(each.pull, response.moved[each.other])
         return total
+
+    def of_ground(self) -> Number:
+        """Part of the left-hand side due to the acceleration of the ground."""
+        total: Number = ZERO
+        for each in self.parts:
+            if each.fall is not None:
+                total = total + dot(each.pull, ZERO3 + each.fall)
+        return total
+
+    def on_still_ground(self) -> NodeRow:
+        also = self.also and self.also.on_still_ground()
+        return self._replace(fall=None, also=also)
+
+
+def add_loads(total: dict[int, Vec], more: dict[int, Vec]) -> None:
+    """Add wrenches on nodes to others."""
+    for i, load in more.items():
+        total[i] = add(total[i], load) if i in total else load
 
 
 def node_row(
     connection: Connection, relative: Relative, jacobian: Vec, inner: Pose, wanted: Any
 ) -> NodeRow:
-    """Row of a connection, in the accelerations of its nodes.   jacobian : J of J·V_rel."""
+    """Return a connection's row, in the accelerations of its nodes.   jacobian : J of J·V_rel."""
     push = jacobian if connection.hangs else wrench_from(inner, jacobian)
     pull = wrench_from(relative.seat, jacobian)
     return NodeRow(connection.node, connection.other, push, pull, relative.fall, wanted)
 
 
 def stiffness_of(rows: Sequence[NodeRow], i: int, directions: list[Vec]) -> list[list[Number]]:
-    """Sum Σ s BᵀB over the rows B ν̇ that make node i stiff."""
+    """Return Σ s BᵀB over the rows B ν̇ that make node i stiff."""
     count = len(directions)
     total: list[list[Number]] = [[ZERO] * count for _ in range(count)]
     for each in rows:

@@ -1,4 +1,4 @@
-"""Numbers that formulas compute with: floats, arrays, structural zeros, lane packs, duals."""
+"""Formulas compute with floats, arrays, structural zeros, lane packs and dual numbers."""
 
 from lierb.kernels.numbers.arithmetic import repeat
 

@@ -1,4 +1,4 @@
-"""Operations of formulas besides + − * /, on every kind of number.
+"""Formulas use these operations besides + − * /, on every kind of number.
 
 A formula that uses only these functions runs unchanged in plain Python, on arrays, as SIMD code,
 and with derivatives (`lierb.kernels.numbers.number`). Each class of numbers implements its own
@@ -25,7 +25,7 @@ Place = tuple[Any, ...]  # indices of an array's element
 
 
 class Plain:
-    """Operations on floats, NumPy scalars and arrays, on integer indices and on bool masks."""
+    """Implement operations on floats, NumPy scalars and arrays, integer indices and bool masks."""
 
     rank = 0
     sqrt, absolute, rint, floor = np.sqrt, np.abs, np.rint, np.floor
@@ -284,7 +284,7 @@ def apart(count: int) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
 
 @contextmanager
 def rounded_as_numpy(number: Number) -> Iterator[None]:
-    """Context in which `fma` rounds twice, so that a formula has the same bits as on arrays.
+    """Let `fma` round twice in a context, so that a formula has the same bits as on arrays.
 
     number : one of the formula's numbers; the setting applies to its trace.
     """
@@ -299,7 +299,7 @@ def rounded_as_numpy(number: Number) -> Iterator[None]:
 
 @contextmanager
 def assumptions(number: Number) -> Iterator[list[Mask]]:
-    """Context in which masks that formulas pass to `taken_for_granted` are assumed to hold.
+    """Assume, in a context, that the masks passed to `taken_for_granted` hold.
 
     Yields the list of these masks, which the caller checks. Where all hold, the bits are those of
     the formula without assumptions.   number : as in `rounded_as_numpy`.

@@ -1,4 +1,4 @@
-"""Dual numbers x + Σ xᵢ εᵢ with εᵢ εⱼ = 0, which differentiate a formula exactly.
+"""Dual numbers x + Σ xᵢ εᵢ, where εᵢ εⱼ = 0, differentiate a formula exactly.
 
 Values and parts are numbers of any kind: floats, arrays, traced lanes, or, for second derivatives,
 dual numbers. Values have the same bits as without derivatives.
@@ -7,12 +7,15 @@ dual numbers. Values have the same bits as without derivatives.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from functools import wraps
 from itertools import islice
 from typing import Any
 
 from lierb.kernels.numbers.arithmetic import (
     Turn,
     absolute,
+    alike,
+    apart,
     class_of,
     flatten,
     floor,
@@ -33,7 +36,7 @@ from lierb.kernels.numbers.zero import ZERO, is_zero
 
 
 class Dual:
-    """Number with its derivatives, `parts`, along some directions; () without directions."""
+    """A dual number has derivatives, `parts`, along some directions; () without directions."""
 
     __slots__ = ("parts", "value")
     __array_ufunc__: Any = None
@@ -101,6 +104,26 @@ class Dual:
     def along(self, slope: Number, value: Number) -> Any:
         """Return f(self), for `value` and `slope` of f and f′ at the number's value."""
         return type(self)(value, tuple(slope * part for part in self.parts))
+
+    @staticmethod
+    def call(formula: Callable[..., Any], count: int, *numbers: Number) -> Any:
+        """Call a formula of one number apart, for values and slopes; see `arithmetic.apart`.
+
+        A formula of several numbers is inlined.
+        """
+        if len(numbers) > 1:
+            return formula(*numbers)
+        x: Any = numbers[0]
+
+        def with_slopes(z: Number) -> tuple[Any, ...]:
+            results = formula(Dual(z, (1.0,)))
+            return (*map(value_of, results), *(parts_of(y)[0] for y in results))
+
+        with_slopes.__module__ = formula.__module__
+        with_slopes.__qualname__ = f"{formula.__qualname__}.with_slopes"
+        results = apart(2 * count)(with_slopes)(x.value)
+        pairs = zip(results[:count], results[count:], strict=True)
+        return tuple(x.along(slope, value) for value, slope in pairs)
 
     @classmethod
     def joined(cls, a: Number, b: Number, join: Callable[[Any, Any], Any]) -> Any:
@@ -174,6 +197,21 @@ class Dual:
         return Dual(atan2(top, right), tuple(parts))
 
 
+def by_chain_rule(formula: Callable[[Any], Any]) -> Callable[[Any], Any]:
+    """Decorate a formula of one number: its slopes are computed once for all directions."""
+
+    @wraps(formula)
+    def evaluated(x: Number) -> Any:
+        if type(x) is not Dual or not x.parts:
+            return formula(x)
+        results = formula(Dual(x.value, (1.0,)))
+        slopes = (parts_of(y) for y in results)
+        pairs = zip(results, slopes, strict=True)
+        return alike(results, (x.along(s[0], value_of(y)) if s else y for y, s in pairs))
+
+    return evaluated
+
+
 def _either(value: Number, a: Number, b: Number) -> Dual:
     is_first = raw(value) == raw(a)  # false where a is NaN
     return Dual(value, tuple(where(is_first, p, q) for p, q in side_by_side(a, b)))
@@ -183,12 +221,19 @@ def value_of(x: Number) -> Any:
     return x.value if isinstance(x, Dual) else x
 
 
+def values(x: Any) -> Any:
+    """Return nested tuples of numbers without derivatives."""
+    if isinstance(x, tuple):
+        return alike(x, map(values, x))
+    return value_of(x)
+
+
 def parts_of(x: Number) -> tuple[Any, ...]:
     return x.parts if isinstance(x, Dual) else ()
 
 
 def side_by_side(*numbers: Number) -> Iterator[tuple[Any, ...]]:
-    """Parts of several numbers, grouped by direction; zeros for a number without parts."""
+    """Return the parts of several numbers by direction; zeros for a number without parts."""
     parts = [parts_of(x) for x in numbers]
     nothing = (ZERO,) * max(map(len, parts))
     return zip(*(p or nothing for p in parts), strict=True)

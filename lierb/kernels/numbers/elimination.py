@@ -10,14 +10,14 @@ from lierb.kernels.numbers.zero import ZERO, is_zero
 
 
 class Factored:
-    """A = L U without exchange of rows, so that all lanes take the same operations.
+    """Factor A = L U without exchange of rows, so that all lanes take the same operations.
 
     It suits matrices whose pivots do not vanish, such as 1 − hγJ of a Rosenbrock method; a pivot
     that does makes the solution infinite or NaN.
     """
 
     def __init__(self, rows: list[list[Any]]) -> None:
-        """rows : A, row by row."""
+        """Factor A.   rows : A, row by row."""
         n = len(rows)
         self.upper = [list(row) for row in rows]
         self.lower: list[list[Any]] = [[ZERO] * n for _ in rows]

@@ -1,4 +1,4 @@
-"""Protocols of numbers: operands of formulas, and operations that a class implements.
+"""Protocols describe the operands of formulas, and the operations that a class implements.
 
 | numbers                     | used for                                  | class     | `rank` |
 |-----------------------------|-------------------------------------------|-----------|--------|
@@ -19,10 +19,10 @@ from typing import Any, Protocol, runtime_checkable
 
 @runtime_checkable
 class Number(Protocol):
-    """Real number of one or several bodies, of shape () or (bodies,). Operators return a number.
+    """Real numbers of one or several bodies have the shape () or (bodies,).
 
-    Comparisons return a mask of the same shape, which is false where an operand is NaN. If operands
-    are of different kinds, the result has the kind of higher rank.
+    Operators return a number. Comparisons return a mask of the same shape, which is false where an
+    operand is NaN. If operands are of different kinds, the result has the kind of higher rank.
     """
 
     def __add__(self, other: Any, /) -> Any: ...
@@ -42,7 +42,7 @@ class Number(Protocol):
 
 @runtime_checkable
 class Mask(Protocol):
-    """Truth value of one or several bodies: bool, an array of bool, or traced.
+    """A mask is the truth value of one or several bodies: bool, an array of bool, or traced.
 
     Combine masks by & and |: `and`, `or` and `not` need a single truth value.
     """
@@ -53,7 +53,7 @@ class Mask(Protocol):
 
 @runtime_checkable
 class Operations(Protocol):
-    """Operations of a class of numbers, as static methods or as methods of its first operand.
+    """A class of numbers has operations, as static methods or as methods of its first operand.
 
     `lierb.kernels.numbers.arithmetic` dispatches each operation to the operands' class of highest
     rank. Every class must implement the operations below. It may also implement `minimum`,

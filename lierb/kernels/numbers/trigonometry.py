@@ -1,4 +1,4 @@
-"""sin, cos and atan2 on every kind of number.
+"""Compute sin, cos and atan2 of every kind of number.
 
 Kernel and reduction constants as in FreeBSD msun (k_sin.c, k_cos.c, e_rem_pio2.c, s_atan.c).
 """

@@ -1,4 +1,4 @@
-"""3-vectors and 3×3 matrices as tuples: (x, y, z) and the nine entries row by row.
+"""3-vectors and 3×3 matrices are tuples: (x, y, z) and the nine entries row by row.
 
 Two chained cross products take 2.7 ns on tuples, 117 ns on small arrays.
 """
@@ -126,7 +126,7 @@ def mat_mat_t(m: Mat, n: Mat) -> Mat:
 
 
 def inverse_symmetric(m: Mat) -> Mat:
-    """Inverse of a symmetric positive definite matrix by LDLᵀ, in which no cofactors cancel.
+    """Invert a symmetric positive definite matrix by LDLᵀ, in which no cofactors cancel.
 
     The inverse of a diagonal or graded matrix is accurate even if its principal values differ by
     many orders. For a tilted matrix the condition number multiplies the error, as in any method.
@@ -149,7 +149,7 @@ def inverse_symmetric(m: Mat) -> Mat:
 
 
 def principal_axes(m: Mat, shift: Vec = ZERO3) -> tuple[Vec, Mat]:
-    """Eigenvalues of a symmetric m + diag(shift), minus the shift, and eigenvectors.
+    """Return the eigenvalues of a symmetric m + diag(shift), minus the shift, and eigenvectors.
 
     The eigenvectors are the columns of a rotation, in the order of the eigenvalues. Jacobi
     rotations are limited to 45°, so that the axes of a diagonal matrix stay in order. Entries of m

@@ -1,4 +1,4 @@
-"""`ZERO`, a component that is zero by structure, not by value.
+"""`ZERO` is a component that is zero by structure, not by value.
 
 ZERO·x = ZERO and ZERO + x = x are resolved when a formula is traced or run. Hence a general SE(3)
 formula with structural zeros among its operands reduces to the formula of the subgroup, without
@@ -11,7 +11,7 @@ from typing import Any
 
 
 class Zero:
-    """Class of the single value `ZERO`, which equals the number 0.0."""
+    """The class has a single value, `ZERO`, which equals the number 0.0."""
 
     __slots__ = ()
     __array_ufunc__ = None  # arrays and NumPy scalars leave the arithmetic to this class

@@ -1,1 +1,1 @@
-"""Steps: methods, clocks, and step-size control."""
+"""A step needs a method, a clock, and step-size control."""

@@ -1,4 +1,4 @@
-"""Clocks: times of the steps, the saved rows and the end of a run."""
+"""A clock holds the times of the steps, the saved rows and the end of a run."""
 
 from __future__ import annotations
 
@@ -17,21 +17,23 @@ class Clock(Protocol):
 
     @property
     def saved_rows(self) -> int:
-        """Number of rows of the history, 0 without one."""
+        """Return the number of rows of the history, 0 without one."""
 
     @property
     def end(self) -> float:
-        """End of the run, s."""
+        """Return the end of the run, s."""
 
     def saved_steps(self) -> NDArray[np.int64]:
-        """Indices of the saved steps, (saved_rows,); for adaptive steps, of the rows."""
+        """Return the indices of saved steps, (saved_rows,); for adaptive steps, of the rows."""
 
     def saved_times(self) -> NDArray[np.float64]:
-        """Times of the saved rows, (saved_rows,), s."""
+        """Return the times of the saved rows, (saved_rows,), s."""
 
 
 class StepClock(NamedTuple):
-    """Clock of `steps` steps of `dt` s, with measurement and saving intervals in steps (0: never).
+    """The clock has `steps` steps of `dt` s.
+
+    The intervals of measurement and of saving are in steps (0: never).
 
     origin, first_step : the start is `first_step` steps after `origin`, s. A continued run counts
         on, so that its times and its renormalisation are the same as without a break.
@@ -62,7 +64,7 @@ class StepClock(NamedTuple):
 
 @shared
 def time_of(clock: Any, step: Any) -> Any:
-    """Time of a step, or of an array of steps, s."""
+    """Return the time of a step, or of an array of steps, s."""
     return clock.origin + clock.dt * (clock.first_step + step)
 
 

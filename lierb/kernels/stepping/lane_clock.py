@@ -1,4 +1,4 @@
-"""Clock of a lane: current time of its trajectory, length of the next step, end of the run.
+"""A lane's clock has its trajectory's current time, the next step's length, the end of the run.
 
 Fixed steps end at t = anchor + dt·k, the same doubles as with one clock for all lanes. Adaptive
 steps end where step-size control chooses. Both also end at ticks of controllers and at the end of
@@ -18,7 +18,7 @@ from lierb.kernels.numbers.arithmetic import (
     rint,
     where,
 )
-from lierb.kernels.numbers.zero import ZERO
+from lierb.kernels.numbers.zero import ZERO, is_zero
 from lierb.kernels.stepping.clock import TIDY_EVERY
 from lierb.kernels.stepping.step_size import (
     EPS,
@@ -30,7 +30,16 @@ from lierb.kernels.stepping.step_size import (
 )
 from lierb.kernels.systems.layout import LANE_END
 from lierb.kernels.systems.plan import AnyPlan
-from lierb.kernels.systems.state import DT_MIN, MAX_STEPS, NON_FINITE, OK, RAISED, SINGULAR, State
+from lierb.kernels.systems.state import (
+    DT_MIN,
+    MAX_STEPS,
+    NO_CONVERGENCE,
+    NON_FINITE,
+    OK,
+    RAISED,
+    SINGULAR,
+    State,
+)
 from lierb.kernels.tracing import calls
 
 INF = float("inf")
@@ -47,7 +56,7 @@ def rounding_at(time: Any) -> Any:
 
 
 class Span(NamedTuple):
-    """Start and end of a run, s.
+    """A span is the start and end of a run, s.
 
     origin, counted : fixed steps start `counted` steps after `origin`, s.
     every : number of steps between two measurements.
@@ -61,7 +70,7 @@ class Span(NamedTuple):
 
 
 class LaneClock(NamedTuple):
-    """Clock of a lane.
+    """Hold the clock of a lane.
 
     t : current time, s.   h : length of the next step unless it is cut short, s.
     anchor, counted : fixed steps are counted from `anchor`, s.
@@ -84,7 +93,7 @@ class LaneClock(NamedTuple):
 
 
 class Trial(NamedTuple):
-    """A step to be tried: from `start` to `end`, of length h, s.
+    """A trial is a step to be tried, from `start` to `end`, of length h, s.
 
     is_cut : 1 where the step is cut short.
     """
@@ -96,7 +105,10 @@ class Trial(NamedTuple):
 
 
 class Verdict(NamedTuple):
-    """Outcome of a step.   accepted : 1 where it is accepted.   failed : status, OK if none."""
+    """The verdict is the outcome of a step.
+
+    accepted : 1 where it is accepted.   failed : status, OK if none.
+    """
 
     accepted: Any
     failed: Any
@@ -183,6 +195,7 @@ def judged(
     trial: Trial,
     fine: Any,
     singular: Any,
+    unsolved: Any,
     square: Any,
     longest: Any,
     limits: Tolerances,
@@ -191,7 +204,8 @@ def judged(
     """Accept or reject a step, and choose the next one.
 
     fine : mask of states that are finite and not singular.
-    singular : 1 where a step that cannot be shortened fails with SINGULAR.
+    singular, unsolved : 1 where a step that cannot be shortened fails with SINGULAR, with
+        NO_CONVERGENCE.
     square : square of the error.
     longest : longest step that elements allow at the velocity at its end, s; None for any.
     """
@@ -199,7 +213,10 @@ def judged(
     raised = running & ~running
     if plan.calls_functions:
         raised = running & (calls.exception_flags(clock.t) > calls.SUPPRESSED)
-    worse = where(singular > 0.5, float(SINGULAR), float(NON_FINITE))
+    worse: Any = float(NON_FINITE)
+    if not is_zero(unsolved):
+        worse = where(unsolved > 0.5, float(NO_CONVERGENCE), worse)
+    worse = where(singular > 0.5, float(SINGULAR), worse)
     if not plan.is_adaptive:
         return _fixed(clock, trial, fine, worse, raised, running)
     steps = clock.steps
@@ -259,8 +276,9 @@ def _fixed(
 
 
 def to_tidy(clock: LaneClock, fresh: Any, termination: Any) -> Any:
-    """True where the pose is to be renormalised: every TIDY_EVERY steps, counted over continued
-    runs.
+    """Return where the pose is to be renormalised.
+
+    It is every TIDY_EVERY steps, counted over continued runs.
     """
     counted = clock.steps + clock.ahead
     turns = is_multiple(counted, float(TIDY_EVERY))
@@ -268,7 +286,7 @@ def to_tidy(clock: LaneClock, fresh: Any, termination: Any) -> Any:
 
 
 def to_measure(clock: LaneClock, span: Span, fresh: Any, termination: Any) -> Any:
-    """True where a trajectory is measured: every `span.every` steps, and at its end."""
+    """Return where a trajectory is measured: every `span.every` steps, and at its end."""
     return (fresh > 0.5) & (is_multiple(clock.steps, span.every) | (termination > 0.0))
 
 

@@ -1,16 +1,17 @@
-"""Protocol of a one-step method, its arguments and its results."""
+"""A protocol describes one-step methods, their arguments and their results."""
 
 from __future__ import annotations
 
 from typing import Any, NamedTuple, Protocol
 
 from lierb.kernels.numbers.vec import Vec
+from lierb.kernels.numbers.zero import ZERO
 from lierb.kernels.systems.state import Slopes, Stabilised, State
 from lierb.kernels.systems.system import AnySystem
 
 
 class Interval(NamedTuple):
-    """Interval of a step.
+    """Hold the interval of a step.
 
     time, span : beginning and length for functions of time, s. They differ from those of the step
         if an element jumps at its ends.
@@ -22,26 +23,28 @@ class Interval(NamedTuple):
     h: Any
 
     def part(self, theta: Any) -> Interval:
-        """Interval of the first fraction θ of the step."""
+        """Return the interval of the first fraction θ of the step."""
         return Interval(self.time, theta * self.span, theta * self.h)
 
 
 class Step(NamedTuple):
-    """Result of a step.
+    """Hold the result of a step.
 
     slopes : rates of the stages, for error estimates and dense output.
     singular : 1 where a stage has a singular configuration.
     stabilised : the state at the end, with the corrections by stabilisation.
+    unsolved : 1 where an iteration has not converged.
     """
 
     state: State
     slopes: Slopes
     singular: Any
     stabilised: Stabilised
+    unsolved: Any = ZERO
 
 
 class Defect(NamedTuple):
-    """Error estimate, a difference of two states; n as in `System`.
+    """The defect is an error estimate, a difference of two states; n as in `System`.
 
     turning, moving : of the poses, rad and m; see `System.turning_and_moving`.
     twist : of V (n,), rad/s and m/s.   states : of the extra states.
@@ -54,15 +57,21 @@ class Defect(NamedTuple):
 
 
 class Method(Protocol):
-    """One-step method for any system.   state : at the start of a step.   at : its interval."""
+    """A one-step method works for any system.
+
+    state : at the start of a step.   at : its interval.
+    """
+
+    def started(self, system: AnySystem, body: Any, state: State, at: Interval) -> State:
+        """Return the state with the numbers that the method carries before its first step."""
 
     def step(
         self, system: AnySystem, body: Any, state: State, at: Interval, all_stages: bool = False
     ) -> Step:
-        """Step by h.   all_stages : also stages only for the error estimate and dense output."""
+        """Make a step by h.   all_stages : also those only for error estimate and dense output."""
 
     def defects(self, system: AnySystem, body: Any, slopes: Slopes, h: Any) -> tuple[Defect, ...]:
-        """Error estimates of a step with these slopes, the one of highest order first."""
+        """Return the step's error estimates with these slopes, the one of highest order first."""
 
     def extended(
         self, system: AnySystem, body: Any, state: State, at: Interval, slopes: Slopes
@@ -72,4 +81,4 @@ class Method(Protocol):
     def between(
         self, system: AnySystem, body: Any, state: State, at: Interval, slopes: Slopes, theta: Any
     ) -> State:
-        """State at time + θ h, 0 ≤ θ ≤ 1.   slopes : those of `extended`."""
+        """Return the state at time + θ h, 0 ≤ θ ≤ 1.   slopes : those of `extended`."""

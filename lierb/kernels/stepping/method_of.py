@@ -1,4 +1,4 @@
-"""The method of a plan."""
+"""Make the method of a plan."""
 
 from __future__ import annotations
 
@@ -6,15 +6,28 @@ from collections.abc import Callable
 from functools import lru_cache
 from typing import Any
 
+from lierb.kernels.stepping.generalised_alpha import GeneralisedAlpha
 from lierb.kernels.stepping.method import Method
+from lierb.kernels.stepping.rattle import Rattle
 from lierb.kernels.stepping.rosenbrock import Rosenbrock
 from lierb.kernels.stepping.runge_kutta import ExplicitRungeKutta
+from lierb.kernels.stepping.verlet import Verlet
 from lierb.kernels.systems.plan import AnyPlan
-from lierb.kernels.systems.scheme import ExplicitScheme, RosenbrockScheme, Scheme
+from lierb.kernels.systems.scheme import (
+    AlphaScheme,
+    ExplicitScheme,
+    RattleScheme,
+    RosenbrockScheme,
+    Scheme,
+    VerletScheme,
+)
 
 FAMILIES: dict[type[Scheme], Callable[[Any], Method]] = {
     ExplicitScheme: ExplicitRungeKutta,
     RosenbrockScheme: Rosenbrock,
+    VerletScheme: Verlet,
+    RattleScheme: Rattle,
+    AlphaScheme: GeneralisedAlpha,
 }
 
 

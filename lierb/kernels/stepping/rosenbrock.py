@@ -1,4 +1,6 @@
-"""Rosenbrock methods on (X, V, W, s), in the chart of each step: no iteration, for stiff systems.
+"""Rosenbrock methods integrate (X, V, W, s) in the chart of each step, without iteration.
+
+They are for stiff systems.
 
 With y the independent numbers of X, V or μ, extra states and work, and J the Jacobian of ẏ at the
 start of the step, (1 − γhJ) kᵢ = γ (ẏ(t + αᵢ h, y + h Σ Aᵢⱼ kⱼ) + Σ Cᵢⱼ kⱼ + γᵢ h ∂ẏ/∂t). J is

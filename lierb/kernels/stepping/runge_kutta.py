@@ -1,4 +1,4 @@
-"""Explicit Runge–Kutta methods on (X, V, W, s), for any Butcher tableau.
+"""Explicit Runge–Kutta methods integrate (X, V, W, s), with any Butcher tableau.
 
 Ẋ = dexp⁻¹_{−X} V and V̇ = F(X, V)  (Müller, eqs. 4a, b), with C = C₀ exp X. `local` update
 (Munthe-Kaas): X starts at 0 in every step, structurally. `global` (the paper's): X continues, and
@@ -27,7 +27,7 @@ from lierb.kernels.systems.system import AnySystem
 
 @dataclass(frozen=True)
 class ExplicitRungeKutta(StageMethod):
-    """Explicit Runge–Kutta method; commutator-free if its scheme has exponentials."""
+    """An explicit Runge–Kutta method is commutator-free if its scheme has exponentials."""
 
     scheme: ExplicitScheme
 
@@ -75,7 +75,7 @@ class ExplicitRungeKutta(StageMethod):
         return is_own and system.is_homogeneous
 
     def slope_units(self, system: AnySystem, h: Any) -> tuple[Any, Any]:
-        """Factors of the sums of slopes for X, and for V or μ."""
+        """Return the factors of the sums of slopes for X, and for V or μ."""
         if not self.counts_in_steps(system):
             return h, h
         moves = h > 0.0  # false for idle lanes

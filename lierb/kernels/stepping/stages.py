@@ -1,4 +1,4 @@
-"""Methods with stages: a step ends at y + h Σ bᵢ kᵢ; error and dense output are sums of kᵢ too."""
+"""A step with stages ends at y + h Σ bᵢ kᵢ; error and dense output are sums of kᵢ too."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from lierb.kernels.numbers.vec import Vec
 from lierb.kernels.numbers.zero import ZERO, is_zero
 from lierb.kernels.stepping.method import Defect, Interval, Step
 from lierb.kernels.systems.combine import weighted
-from lierb.kernels.systems.scheme import Scheme, Stages
+from lierb.kernels.systems.scheme import StagedScheme, Stages
 from lierb.kernels.systems.state import Factors, Slopes, State, Units, Weights
 from lierb.kernels.systems.system import AnySystem
 
 
 @dataclass(frozen=True)
 class StageMethod:
-    """Method with stages, without the equations from which each kᵢ follows; see `Method`."""
+    """This base of methods with stages lacks the equations for each kᵢ; see `Method`."""
 
-    scheme: Scheme
+    scheme: StagedScheme
 
     def with_stages(
         self,
@@ -32,6 +32,9 @@ class StageMethod:
     ) -> tuple[Slopes, Any]:
         """Return the slopes with those of further stages, and 1 where any stage is singular."""
         raise NotImplementedError
+
+    def started(self, system: AnySystem, body: Any, state: State, at: Interval) -> State:
+        return state
 
     def step(
         self, system: AnySystem, body: Any, state: State, at: Interval, all_stages: bool = False
@@ -56,7 +59,7 @@ class StageMethod:
     def between(
         self, system: AnySystem, body: Any, state: State, at: Interval, slopes: Slopes, theta: Any
     ) -> State:
-        """State at time + θ h, by the continuous extension or, without one, by a step of θ h.
+        """Return the state at time + θ h, by the continuous extension or else by a step of θ h.
 
         The pose is C₀ exp X(θ): on the group, and for a subgroup joint on its subgroup.
         """
@@ -68,7 +71,7 @@ class StageMethod:
         return system.stabilised(body, state, ended, time, theta * at.h).state
 
     def defects(self, system: AnySystem, body: Any, slopes: Slopes, h: Any) -> tuple[Defect, ...]:
-        """h Σ weights · slopes for the weights of each error estimate."""
+        """Return h Σ weights · slopes for the weights of each error estimate."""
         assert self.scheme.embedded is not None
         return tuple(
             self._defect(system, body, slopes, h, weights)
@@ -100,7 +103,7 @@ class StageMethod:
         weights: Weights,
         factors: Factors | None,
     ) -> State:
-        """State with h Σ weights · slopes; the pose by all factors, or by one exponential."""
+        """Add h Σ weights · slopes to the state; the pose by all factors, or one exponential."""
         x_unit, unit = self.slope_units(system, h)
         # Sums without the state also appear in error estimates.
         units = Units(0.5 * x_unit, unit, h, self.scheme.embedded is not None)
@@ -113,7 +116,7 @@ class StageMethod:
         return None
 
     def slope_units(self, system: AnySystem, h: Any) -> tuple[Any, Any]:
-        """Factors of the sums of slopes for X, and for V or μ."""
+        """Return the factors of the sums of slopes for X, and for V or μ."""
         return h, h
 
 

@@ -13,8 +13,6 @@ from typing import Any, NamedTuple
 
 from lierb.kernels.mechanics.scale import START_TOLERANCE
 from lierb.kernels.numbers.arithmetic import (
-    absolute,
-    floor,
     fma,
     maximum,
     minimum,
@@ -25,9 +23,9 @@ from lierb.kernels.numbers.vec import Vec, dot
 from lierb.kernels.numbers.zero import ZERO, is_zero
 from lierb.kernels.stepping.method import Defect
 from lierb.kernels.stepping.method_of import method_of
+from lierb.kernels.systems.combine import weighted
 from lierb.kernels.systems.extra_states import in_states
 from lierb.kernels.systems.plan import AnyPlan
-from lierb.kernels.systems.signals import events_of
 from lierb.kernels.systems.state import Rates, Slopes, Stabilised, State, Units, Weights
 from lierb.kernels.systems.system_of import in_memory, system_of
 from lierb.kernels.tracing.words import rough_exp2, rough_log2
@@ -44,18 +42,16 @@ LEAST_ULPS = 16.0  # least step, in units of the rounding of time
 ROUNDED_V, ROUNDED_PLACE = 64.0 * EPS, 1024.0 * EPS
 # Relative error of a start's twist and pose: the start's tolerance times the rows' amplification.
 ADMITTED = 1e3 * START_TOLERANCE
-LEAST_OF_STEP = 1e-6  # least bound, a fraction of a step, so that the next step passes a kink
 # A step is too rough for its error estimate if the rate of one stage, applied to the whole step,
 # changes a velocity by ROUGH times its size and moves the pose by THROW, in rad or in radii of
 # gyration. Its squared error is then at least ROUGH_ERROR.
 ROUGH, THROW, ROUGH_ERROR = 2.0, 1e-3, 1e6
-MOST_PARTS = 32  # largest number of parts of a step, each searched for events
 INF = float("inf")
 DOP853_MIX = 0.01  # weight of E₃² in the error of a method with two estimates (dop853.f)
 
 
 class Tolerances(NamedTuple):
-    """Tolerances and limits of steps.
+    """Hold the tolerances and limits of steps.
 
     dt : length of the first adaptive step, 0 to choose it, or of all fixed steps, s.
     rtol, …_atol : tolerances of each block, rad, m, rad/s, m/s, and units of the extra states.
@@ -80,41 +76,6 @@ class Tolerances(NamedTuple):
 def within(h: Any, limits: Tolerances) -> Any:
     """Return the step length nearest to h within the limits, s."""
     return maximum(minimum(h, limits.dt_max), limits.dt_min)
-
-
-def longest_step(plan: AnyPlan, body: Any, state: State, moved: State, time: Any, h: Any) -> Any:
-    """Return the longest step from `state`, s, that does not pass over a region in which an element
-    acts; None if no element bounds it.
-
-    moved : state that has the velocity: `state` before the step is tried, its end afterwards.
-    h : step that error control proposes, s. The bound is limited from below, relative to h and to
-        the rounding of time, so that a trajectory does not stall.
-    """
-    if not (events_of(plan) or any(element.bounds_steps for element in plan.elements)):
-        return None
-    system = system_of(plan)
-    start, end = (system.motion(body, each, time) for each in (state, moved))
-    least = maximum(LEAST_OF_STEP * h, 4.0 * LEAST_ULPS * EPS * absolute(time))
-    longest: Any = INF
-    for watched, parts in ((False, 1.0), (True, float(MOST_PARTS))):
-        for rate, distance in system.travel(body, start, end, time, watched):
-            if not is_zero(rate):
-                moves = rate > 0.0
-                bound = maximum(parts * distance / where(moves, rate, 1.0), least)
-                longest = minimum(longest, where(moves, bound, INF))
-    return longest
-
-
-def parts_to_watch(plan: AnyPlan, body: Any, state: State, moved: State, trial: Any) -> Any:
-    """Return the number of equal parts of a step that are searched for events one by one."""
-    system = system_of(plan)
-    start, end = (system.motion(body, each, trial.start) for each in (state, moved))
-    fastest: Any = 0.0 * trial.h
-    for at in (start, end):
-        for rate, distance in system.travel(body, start, at, trial.start, watched=True):
-            if not is_zero(rate):
-                fastest = maximum(fastest, rate / distance)
-    return minimum(floor(trial.h * fastest) + 1.0, float(MOST_PARTS))
 
 
 def squared_error(
@@ -143,7 +104,9 @@ def _estimates(plan: AnyPlan, body: Any, slopes: Slopes, h: Any, scales: _Scales
     assert plan.method.embedded is not None
     for row in plan.method.embedded.weights:
         weights = {j: h * weight for j, weight in enumerate(row) if weight != 0.0}
-        yield _largest_of(body, in_memory(plan).slope_squares(body, weights), (), scales)
+        squares = in_memory(plan).slope_squares(body, weights)
+        states = weighted((ZERO,) * len(slopes.states[0]), row, slopes.states, h)
+        yield _largest_of(body, squares, _squares_of(plan, states), scales)
 
 
 def _is_rough(plan: AnyPlan, body: Any, state: State, moved: State, slopes: Slopes, h: Any) -> Any:
@@ -152,6 +115,8 @@ def _is_rough(plan: AnyPlan, body: Any, state: State, moved: State, slopes: Slop
     A stage far inside a stiff stop moves the next stages out of it. Methods of high order have zero
     weights for their first stages; the stop then affects neither the step nor its error estimate.
     """
+    if plan.is_looped:
+        return in_memory(plan).is_rough(body, len(slopes.x), h, ROUGH, THROW)
     velocity = system_of(plan).velocity
     before, after = (velocity(body, each.v_or_mu) for each in (state, moved))
     first, *rest = slopes.v_or_mu
@@ -189,6 +154,8 @@ def squared_correction(
     rtol = where(is_first, limits.rtol + ADMITTED, limits.rtol)
     scales = _scales(plan, body, state, kept.state, limits._replace(rtol=rtol), h)
     states = (ZERO,) * len(state.states)
+    if plan.is_looped:  # squares
+        return _largest_of(body, (*kept.x, *kept.v_or_mu), _squares_of(plan, states), scales)
     turning, moving = (_parts(kept.x, first) for first in (0, 3))
     return _largest(plan, body, Defect(turning, moving, kept.v_or_mu, states), scales)
 
@@ -250,11 +217,11 @@ def _sizes(
     is_next : whether the state is the end of a step, for a looped plan.
     """
     if plan.is_looped:
-        return *in_memory(plan).sizes(body, is_next), ()
+        return *in_memory(plan).sizes(body, is_next), _squares_of(plan, state.states)
     system = system_of(plan)
     place = system.places(state.chart)
     twist = system.velocity(body, state.v_or_mu)
-    states = tuple(dot(part, part) for part in in_states(plan, state.states))
+    states = _squares_of(plan, state.states)
     return dot(place, place), _squares(twist, 0), _squares(twist, 3), states
 
 
@@ -275,8 +242,12 @@ def _largest(plan: AnyPlan, body: Any, defect: Defect, scales: _Scales) -> Any:
         dot(defect.turning, defect.turning), dot(defect.moving, defect.moving),
         _squares(defect.twist, 0), _squares(defect.twist, 3),
     )  # fmt: skip
-    states = tuple(dot(part, part) for part in in_states(plan, defect.states))
-    return _largest_of(body, squares, states, scales)
+    return _largest_of(body, squares, _squares_of(plan, defect.states), scales)
+
+
+def _squares_of(plan: AnyPlan, states: Vec) -> Vec:
+    """Return ‖·‖² of each extra state."""
+    return tuple(dot(part, part) for part in in_states(plan, states))
 
 
 def _largest_of(body: Any, squares: Vec, states: Vec, scales: _Scales) -> Any:
@@ -295,7 +266,7 @@ def _largest_of(body: Any, squares: Vec, states: Vec, scales: _Scales) -> Any:
 
 
 class Change(NamedTuple):
-    """Factor from the step tried to the next one, and log₂ of the squared error."""
+    """Hold the factor from the step tried to the next one, and log₂ of the squared error."""
 
     factor: Any
     level: Any
@@ -387,7 +358,11 @@ def _rate_against(
     stages : weights of the stages whose sum the rates are, for a looped plan.
     """
     if plan.is_looped:
-        return _largest_of(body, in_memory(plan).slope_squares(body, stages), (), scales)
+        squares, states = (
+            in_memory(plan).slope_squares(body, stages),
+            _squares_of(plan, rates.states),
+        )
+        return _largest_of(body, squares, states, scales)
     system = system_of(plan)
     twist = system.velocity(body, rates.v_or_mu)
     defect = Defect(*system.turning_and_moving(rates.x), twist, rates.states)

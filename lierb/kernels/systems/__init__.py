@@ -1,1 +1,1 @@
-"""Systems of one body and of mechanisms: plan, state, inputs, rates, measures and stabilisation."""
+"""A system, one body or a mechanism, has a plan, state, inputs, rates, measures, stabilisation."""

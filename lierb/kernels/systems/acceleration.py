@@ -1,4 +1,4 @@
-"""Accelerations and multipliers of one body, from the saddle point of mass matrix and rows."""
+"""Compute accelerations and multipliers of one body, from the saddle point of M and its rows."""
 
 from __future__ import annotations
 
@@ -31,9 +31,10 @@ from lierb.kernels.systems.plan import Plan
 
 
 class Acceleration(NamedTuple):
-    """Solution of the saddle point.
+    """Hold the solution of the saddle point.
 
-    rate : V̇, (6,).   multipliers : λ, in the order of the plan's rows.
+    rate : V̇, (6,).   turning, moving : ω̇, and the acceleration of the joint's point, in body axes.
+    multipliers : λ, in the order of the plan's rows.
     reaction : the joint's wrench on the body, (6,), about the joint's point, in its axes there.
     power : of forces and motors, W.   singular : 1 in a singular configuration.
     dropped : number of dependent rows.
@@ -45,6 +46,8 @@ class Acceleration(NamedTuple):
     power: Any
     singular: Any
     dropped: Any
+    turning: Vec
+    moving: Vec
 
 
 def accelerate(
@@ -96,6 +99,8 @@ def accelerate(
         applied.power + _driving_power(plan, body, x, multipliers),
         solution.singular,
         solution.dropped,
+        solution.turning,
+        solution.moving,
     )
 
 

@@ -1,4 +1,4 @@
-"""Inputs of one body: parameters, constants and start from the numbers of its input columns."""
+"""The numbers of a body's input columns give its parameters, constants and start."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ class PoseCheck(NamedTuple):
 def parameters_of(
     numbers: list[Any], turn: Mat = IDENTITY, shift: Vec = ZERO3
 ) -> tuple[Parameters, Pose, Vec]:
-    """Parameters, pose and twist from the numbers of the input columns.
+    """Return parameters, pose and twist from the numbers of the input columns.
 
     A pose of NaN stands for `lierb.joints.Joint.closed_pose`, in which the joint is closed.
 
@@ -93,7 +93,7 @@ def body_of(
     turn: Mat = IDENTITY,
     shift: Vec = ZERO3,
 ) -> BodyConstants:
-    """Constants of the body, with its elements, from the numbers of all input columns."""
+    """Return the constants of the body, with its elements, from all input columns' numbers."""
     parameters, _, _ = parameters_of(numbers, turn, shift)
     return body_with(space, parameters, elements, numbers[INPUTS.count :])
 

@@ -1,4 +1,4 @@
-"""Arithmetic on states: weighted sums of the slopes of a step, and motion of the pose."""
+"""Add weighted slopes of a step to states, and move the pose."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ NAN = float("nan")
 
 
 class StateArithmetic(PassiveElements):
-    """Arithmetic shared by all systems, on the charts of each."""
+    """All systems share this arithmetic, on the charts of each."""
 
     width: int  # numbers of X, or of Y within a step
     moved: Callable[..., Any]  # (chart, X/2): C₀ exp X
@@ -69,7 +69,7 @@ class StateArithmetic(PassiveElements):
     def stage_rates(
         self, body: Any, state: State, gravity: Any, time: Any, stage: int = 0
     ) -> Rates:
-        """Rates at C₀ exp X, including those of extra states; see `rates`."""
+        """Return the rates at C₀ exp X, including those of extra states; see `rates`."""
         if not state.states:
             return self.rates(body, state, gravity, time)
         body = body._replace(signals=body.signals._replace(states=state.states))

@@ -1,4 +1,4 @@
-"""Extra states of a trajectory, and outputs of its controllers between ticks."""
+"""A trajectory has extra states, and outputs of its controllers between ticks."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from lierb.kernels.systems.state import State
 
 
 class Control(NamedTuple):
-    """Outputs and memory of all controllers between ticks, concatenated.
+    """Hold the outputs and memory of all controllers between ticks, concatenated.
 
     ticks : number of each controller's next tick; ticks are at multiples of its period.
     """
@@ -32,7 +32,7 @@ def with_signals(plan: AnyPlan, body: Any, state: State, control: Control) -> An
 
 
 def in_states(plan: AnyPlan, numbers: Vec) -> Iterator[Vec]:
-    """Numbers of each extra state."""
+    """Yield the numbers of each extra state."""
     first = 0
     for _, shape in states_of(plan):
         yield numbers[first : first + prod(shape)]

@@ -1,4 +1,4 @@
-"""Accelerations of one body: the two formulations of its equations of motion.
+"""The equations of motion of one body have two formulations.
 
 `SaddlePoint` integrates V on all of SE(3) or SO(3)×R³ and solves for V̇ and λ in every stage.
 `Subgroup` integrates the momentum μ = NᵀMV of a joint whose motions are a subgroup of SE(3).
@@ -31,11 +31,11 @@ SETTLED = 16 * 2.0**-52  # relative rounding error of a twist that is rotated to
 
 
 class SaddlePoint(OneBody):
-    """V̇ and λ from the index-1 saddle point, in every stage."""
+    """Compute V̇ and λ from the index-1 saddle point, in every stage."""
 
     @property
     def is_light(self) -> bool:
-        """True if the rows need no Schur complement, and stages are few."""
+        """Return whether the rows need no Schur complement, and stages are few."""
         rows = self.plan.rows
         outright = (
             self.plan.cspace == "SE3"
@@ -46,11 +46,16 @@ class SaddlePoint(OneBody):
 
     @property
     def takes_small_angle_steps(self) -> bool:
-        return bool(self.invariant) and len(self.plan.method.stages) <= SMALL_ANGLE_STAGES
+        return bool(self.invariant) and self.plan.method.length <= SMALL_ANGLE_STAGES
 
     @cached_property
     def invariant(self) -> tuple[int, ...]:
-        """Components of V that stay zero if zero: those fixed by rows constant in body axes."""
+        """Return components of V that stay zero if zero: rows constant in body axes fix them.
+
+        There are none if a method finds V by iteration, which leaves rounding errors.
+        """
+        if not self.plan.has_stages:
+            return ()
         fixed = fixed_axes(self.plan.rows)
         holds = self.plan.cspace == "SE3" and holds_a_point(self.plan.rows)
         return (*fixed, 3, 4, 5) if holds else fixed
@@ -113,7 +118,7 @@ class Subgroup(OneBody):
 
     @property
     def is_light(self) -> bool:
-        """True if a step has few stages and the joint few degrees of freedom."""
+        """Return whether a step has few stages and the joint few degrees of freedom."""
         return is_short(self.plan)
 
     @property
@@ -126,7 +131,7 @@ class Subgroup(OneBody):
 
     @property
     def slides_as_it_turns(self) -> bool:  # type: ignore[override]
-        """True if H contains rotations about e₃ and translations normal to it.
+        """Return whether H contains rotations about e₃ and translations normal to it.
 
         Any point of the body at the same height can then be the joint's point. The centre of mass
         is used, with which no term is a small difference.
@@ -201,4 +206,4 @@ FORMULATIONS: dict[str, type[SaddlePoint | Subgroup]] = {
 
 def is_short(plan: Plan) -> bool:
     """Return whether a step has few stages and the joint few degrees of freedom."""
-    return len(plan.method.stages) * (6 - len(plan.rows)) <= 12
+    return plan.method.length * (6 - len(plan.rows)) <= 12

@@ -22,7 +22,7 @@ def pose_of(numbers: tuple[Any, ...]) -> tuple[tuple[Any, ...], tuple[Any, ...]]
 
 
 class Field(NamedTuple):
-    """Quantity of a trajectory.
+    """A field is a quantity of a trajectory.
 
     shape : shape of its array.   unit : unit of its numbers.
     entries : indices into the flattened array, in the order of the numbers; None for all.
@@ -39,7 +39,7 @@ class Field(NamedTuple):
 
 
 class Columns:
-    """Fields side by side, with one column for each number."""
+    """Columns are fields side by side, with one column for each number."""
 
     def __init__(self, *fields: Field) -> None:
         ends = tuple(accumulate((field.width for field in fields), initial=0))
@@ -60,12 +60,12 @@ class Columns:
         return self._named[name]
 
     def index(self, name: str) -> int:
-        """Column of a field of one number."""
+        """Return the column of a field of one number."""
         first: int = self._slices[name].start
         return first
 
     def parts(self, numbers: Sequence[Any]) -> dict[str, tuple[Any, ...]]:
-        """Numbers of each field, by name."""
+        """Return the numbers of each field, by name."""
         return {name: tuple(numbers[columns]) for name, columns in self._slices.items()}
 
 
@@ -98,6 +98,11 @@ POSE_AND_TWIST = Columns(
 )
 
 
+# Directions of derivatives of one run. Measured on znver4, RK4 of a heavy top, as multiples of a
+# run without: a run of 2, 3, 4 and 6 directions takes 3.6, 4.9, 6.3 and 9.0; 12 directions in such
+# runs take 22, 20, 19 and 18. The code grows likewise.
+DIRECTIONS = 3
+
 LANE_SUMMARY = Columns(
     Field("t", (), "s"), Field("steps"), Field("rejected"), Field("dt_last", (), "s")
 )
@@ -111,11 +116,23 @@ LANE_END = Columns(
 
 
 @lru_cache(64)
-def inputs_of(elements: tuple[Element, ...], numbers: int = STATE.count) -> Columns:
-    """INPUTS, then the elements' parameters, then the numbers of a state to resume from."""
+def inputs_of(
+    elements: tuple[Element, ...], numbers: int = STATE.count, moving: tuple[str, ...] = ()
+) -> Columns:
+    """Return INPUTS, the elements' parameters, seeds, then the numbers of a state to resume from.
+
+    moving : fields with derivatives.
+    """
     parameters = (
         Field(f"{number}.{name}", shape)
         for number, element in enumerate(elements)
         for name, shape in element.shapes.items()
     )
-    return Columns(*INPUTS.fields, *parameters, Field("state", (numbers,)))
+    own = (*INPUTS.fields, *parameters)
+    return Columns(*own, *seeds_of(own, moving), Field("state", (numbers,)))
+
+
+def seeds_of(fields: Sequence[Field], moving: tuple[str, ...]) -> tuple[Field, ...]:
+    """Return the field of the seeds, [number of a moving field][direction]; none if none moves."""
+    count = sum(field.width for field in fields if field.name in moving)
+    return (Field("seeds", (DIRECTIONS * count,)),) if moving else ()

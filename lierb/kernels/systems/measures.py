@@ -1,4 +1,4 @@
-"""Measures along a trajectory: constraint residuals, energy, orthogonality of the rotation.
+"""Measure constraint residuals, energy and orthogonality of the rotation along a trajectory.
 
 Each measure is an entry of MEASURES, which determines its columns in histories and summaries, and
 their units.
@@ -24,7 +24,7 @@ from lierb.kernels.systems.plan import Plan
 
 
 class Sample(NamedTuple):
-    """Motion and energies of a body at one time, from which all measures are computed."""
+    """All measures are computed from a sample: motion and energies of a body at one time."""
 
     plan: Plan
     body: BodyConstants
@@ -37,7 +37,7 @@ class Sample(NamedTuple):
 
 
 class Observed(NamedTuple):
-    """Measures at one time: value or square by name, and the errors of each joint.
+    """Hold the measures at one time: value or square by name, and the errors of each joint.
 
     joints : squares of JOINT_ERRORS for each joint of a mechanism; empty for one body.
     """
@@ -47,7 +47,7 @@ class Observed(NamedTuple):
 
 
 class Measure(NamedTuple):
-    """Column `name` of a history, and `name_max` or `name_final` of a summary.
+    """A measure is column `name` of a history, and `name_max` or `name_final` of a summary.
 
     of : function that computes its value, or its square: the root is taken once, of the largest.
     keeps : "max", the largest magnitude, and "final", the value at the end.
@@ -71,7 +71,7 @@ class Measure(NamedTuple):
 
 
 def orthogonality_squared(q: Mat) -> Any:
-    """‖QᵀQ − I‖², Frobenius."""
+    """Return ‖QᵀQ − I‖², Frobenius."""
     total: Any = ZERO
     for entry, one in zip(mat_t_mat(q, q), IDENTITY, strict=True):
         excess = entry - one
@@ -128,8 +128,9 @@ def measured(
     x = plan.space.kinematics(body, pose, velocity)._replace(time=time)
     potential = plan.space.potential_energy(body, pose)
     if plan.elements:
-        timeless = x._replace(time=ZERO)  # no potential depends on time
-        potential = potential + potential_energy(plan.elements, body, timeless.motion)
+        timeless = x._replace(time=ZERO).motion  # no potential depends on time
+        timeless = timeless._replace(signals=body.signals)
+        potential = potential + potential_energy(plan.elements, body, timeless)
     energy = kinetic_energy + potential
     rates = rate_errors_squared(plan.rows, x, body, velocity)
     sample = Sample(plan, body, pose, x, rates, energy, first_energy, work)

@@ -1,4 +1,4 @@
-"""Statistics of observables along a trajectory, from values at the times of measurement."""
+"""Compute statistics of observables along a trajectory, from values at times of measurement."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ KEEPS = ("min", "max", "mean", "final")  # columns of a summary, for each observ
 
 
 class Kept(NamedTuple):
-    """Statistics of an observable so far.
+    """Hold the statistics of an observable so far.
 
     total, lost : the sum for the mean so far, and its rounding error (Kahan).
     """
@@ -28,7 +28,7 @@ class Kept(NamedTuple):
 
 @lru_cache(64)
 def observables_of(plan: AnyPlan) -> tuple[UserObservable, ...]:
-    """Observables, in the order of their columns."""
+    """Return the observables, in the order of their columns."""
     return tuple(e for e in plan.elements if isinstance(e, UserObservable))
 
 
@@ -38,13 +38,13 @@ def may_raise(plan: AnyPlan) -> bool:
 
 
 def nothing_kept(plan: AnyPlan, like: Any) -> tuple[Kept, ...]:
-    """Statistics before the first value.   like : zero, of the number type of the body."""
+    """Return statistics before the first value.   like : zero, of the body's number type."""
     fresh = Kept(like + INF, like - INF, like, like, like + NAN)
     return (fresh,) * len(observables_of(plan))
 
 
 def kept_of(numbers: tuple[Any, ...]) -> tuple[Kept, ...]:
-    """Statistics from their concatenated numbers."""
+    """Return the statistics from their concatenated numbers."""
     width = len(Kept._fields)
     return tuple(Kept(*numbers[i : i + width]) for i in range(0, len(numbers), width))
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from types import ModuleType
 from typing import Any, ClassVar, NamedTuple
 
@@ -27,13 +27,13 @@ from lierb.kernels.mechanics.newton_euler import (
     Motion,
     Parameters,
     Pose,
-    about_a_point,
     girth_of,
+    principal_axes_at_point,
 )
 from lierb.kernels.mechanics.scale import bearings, pose_tolerances, twist_tolerances
 from lierb.kernels.mechanics.tree import Connection
 from lierb.kernels.numbers.arithmetic import PI, any_lanes, branch, sqrt, where
-from lierb.kernels.numbers.vec import ZERO6, Vec, diagonal, dot
+from lierb.kernels.numbers.vec import ZERO6, Vec, dot, mat_t_vec, mat_vec, sub
 from lierb.kernels.numbers.zero import ZERO
 from lierb.kernels.systems.acceleration import accelerate
 from lierb.kernels.systems.body_inputs import (
@@ -44,7 +44,7 @@ from lierb.kernels.systems.body_inputs import (
     parameters_of,
     rows_alone,
 )
-from lierb.kernels.systems.combine import StateArithmetic
+from lierb.kernels.systems.combine import NAN, StateArithmetic
 from lierb.kernels.systems.layout import INPUTS, STATE, Columns, Field, inputs_of
 from lierb.kernels.systems.measures import Observed, measured
 from lierb.kernels.systems.plan import Plan
@@ -89,27 +89,33 @@ class OneBody(StateArithmetic):
 
     @cached_property
     def inputs(self) -> Columns:
-        columns = inputs_of(self.plan.elements, self.state.count)
+        columns = inputs_of(self.plan.elements, self.state.count, self.plan.moving)
         if not self.plan.has_lane_clocks:
             return columns
         return Columns(*columns.fields, Field("lane", (lane_end(self.plan).count,)))
 
     @cached_property
     def state(self) -> Columns:
-        return Columns(*STATE.fields, Field("states", (size_of(states_of(self.plan)),)))
+        carried = self.plan.method.carried(len(self.plan.rows))
+        return Columns(
+            *STATE.fields,
+            Field("states", (size_of(states_of(self.plan)),)),
+            Field("carried", (carried,)),
+        )
 
     def body(self, numbers: list[Any]) -> BodyConstants:
         plan = self.plan
         body = body_of(plan.space, plan.elements, numbers)
         if plan.turns_about_a_point:
-            turn, centre, moments, differences = about_a_point(body)
-            turn = so3.orthonormalised(turn)
+            axes = principal_axes_at_point(body)
+            turn = so3.orthonormalised(axes.turn)
             turned = body_of(plan.space, plan.elements, numbers, turn)
-            body = plan.space.centred(turned, centre)._replace(
+            body = plan.space.centred(turned, axes.centre)._replace(
                 turn=turn,
-                origin_inertia=diagonal(moments),
-                moments=moments,
-                differences=differences,
+                origin_inertia=axes.inertia,
+                moments=axes.moments,
+                differences=axes.differences,
+                products=axes.products,
             )
         if self.slides_as_it_turns:
             shift = (*body.com[:2], ZERO)
@@ -130,13 +136,17 @@ class OneBody(StateArithmetic):
         _, velocity = self.plan.space.to_joint_axes(frames, pose, twist)
         _, v_or_mu = self.settled(body, frames, twist, chart, velocity)
         x = tuple(0.0 * v for v in velocity)
-        return self.structured(State(chart, x, v_or_mu, 0.0 * body.mass), body.pitch)
+        nothing = 0.0 * body.mass
+        carried = (nothing + NAN,) * self.plan.method.carried(len(self.plan.rows))  # not yet known
+        state = State(chart, x, v_or_mu, nothing, carried=carried)
+        return self.structured(state, body.pitch)
 
     def state_of(self, numbers: Sequence[Any], body: BodyConstants | None = None) -> State:
         parts = self.state.parts(numbers)
         chart = (parts["p"], parts["d"])
         (work,) = parts["work"]
-        state = State(chart, parts["x"], parts["v_or_mu"], work, parts["states"])
+        own = parts["states"], parts["carried"]
+        state = State(chart, parts["x"], parts["v_or_mu"], work, *own)
         return self.structured(state, 1.0 if body is None else body.pitch)
 
     def with_gain(self, body: BodyConstants) -> BodyConstants:
@@ -265,7 +275,9 @@ class OneBody(StateArithmetic):
     def kinetic_energy(self, body: BodyConstants, v_or_mu: Vec) -> Any:
         return self.plan.space.kinetic_energy(body, v_or_mu)
 
-    def motion(self, body: BodyConstants, state: State, time: Any) -> BodyMotion:
+    def motion(
+        self, body: BodyConstants, state: State, time: Any, is_next: bool = False
+    ) -> BodyMotion:
         pose = quaternion.pose(self.chart_of(state))
         return BodyMotion(pose, self.velocity(body, state.v_or_mu))
 
@@ -275,6 +287,14 @@ class OneBody(StateArithmetic):
         x = self.plan.space.kinematics(body, *motion)._replace(time=time)
         with_signals = x.motion._replace(signals=body.signals)
         return lambda _: with_signals
+
+    def felt(self, body: BodyConstants, motion: BodyMotion, time: Any) -> Callable[[int], Vec]:
+        q, d = motion.pose
+        solution = accelerate(
+            self.plan, body, ((), d), motion.velocity, time, q, to_ground=partial(mat_vec, q)
+        )
+        felt = solution.turning + sub(solution.moving, mat_t_vec(q, body.gravity))
+        return lambda _: felt
 
     def measured(
         self,

@@ -13,7 +13,7 @@ from lierb.kernels.mechanics.newton_euler import CSPACES, SE3, SO3xR3
 from lierb.kernels.mechanics.rows import Row, Rows
 from lierb.kernels.mechanics.tree import GROUND, Connection, Node
 from lierb.kernels.mechanics.tree_nodes import JointKind, Kind
-from lierb.kernels.systems.scheme import ExplicitScheme, Scheme
+from lierb.kernels.systems.scheme import ExplicitScheme, Scheme, StagedScheme
 
 UPDATES = ("local", "global", "ambient")
 
@@ -30,6 +30,7 @@ class AnyPlan(Tag):
     clock : "steps", one clock for all lanes, or "lanes", a clock for each lane.
     interpolates : whether states between steps are needed, for output and events.
     jumps : whether elements may jump at given times, at which steps then end.
+    moving : fields of the inputs that have derivatives (`lierb.kernels.systems.derivatives`).
     """
 
     lanes: int
@@ -41,6 +42,7 @@ class AnyPlan(Tag):
     clock: str = "steps"
     interpolates: bool = False
     jumps: bool = False
+    moving: tuple[str, ...] = ()
 
     if TYPE_CHECKING:
 
@@ -70,6 +72,11 @@ class AnyPlan(Tag):
     @property
     def has_lane_clocks(self) -> bool:
         return self.clock == "lanes"
+
+    @property
+    def has_stages(self) -> bool:
+        """True for methods whose steps end at a weighted sum of slopes."""
+        return isinstance(self.method, StagedScheme)
 
     @property
     def is_explicit(self) -> bool:
@@ -161,12 +168,23 @@ class ElementKind(NamedTuple):
     """Kind of an element between two nodes in memory.
 
     on_ground : True if its other node is the ground.   on_joint : True if its frames are those of
-    a joint, not those of the nodes.
+    a joint, not those of the nodes.   on_loop : True if this joint closes a loop.
     """
 
     element: Element
     on_ground: bool
     on_joint: bool
+    on_loop: bool = False
+
+
+class ConstraintKind(NamedTuple):
+    """Kind of a connection in memory whose rows have multipliers.
+
+    element : kind of the motor or user's constraint that has the rows; None for a loop's joint.
+    """
+
+    rows: Rows
+    element: ElementKind | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -174,14 +192,24 @@ class LoopPlan(AnyPlan):
     """Compiled integrator of any tree whose nodes, joints and elements have these kinds.
 
     `lierb.kernels.systems.tree_table` describes the tree at run time.
+
+    elements : one of each kind that acts, then all passive ones.
+    listed_kinds : kinds of the elements that the code has one by one; see `MechanismPlan.listed`.
     """
 
     kinds: tuple[Kind, ...]
     joint_kinds: tuple[JointKind, ...]
     element_kinds: tuple[ElementKind, ...] = ()
+    listed_kinds: tuple[ElementKind, ...] = ()
+    constraint_kinds: tuple[ConstraintKind, ...] = ()
+    stabilisation: Stabilisation = UNSTABILISED
 
     __hash__ = AnyPlan.__hash__
     is_looped = True
+
+    @property
+    def keeps_rank(self) -> bool:
+        return bool(self.constraint_kinds)
 
     @property
     def rows(self) -> Rows:
@@ -197,6 +225,7 @@ class MechanismPlan(AnyPlan):
     connections : the joint of each link, in order; then the joint of each loop; then one connection
         for each element.   loops : number of loops.
     joint_kinds : kinds of joints of the code, if it loops over nodes; none if it is unrolled.
+    usual_constraints : kinds of constraints that looped code has beside those of the mechanism.
     """
 
     tree: tuple[Node, ...]
@@ -204,6 +233,7 @@ class MechanismPlan(AnyPlan):
     loops: int
     stabilisation: Stabilisation = UNSTABILISED
     joint_kinds: tuple[JointKind, ...] = ()
+    usual_constraints: tuple[ConstraintKind, ...] = ()
 
     __hash__ = AnyPlan.__hash__
 
@@ -213,9 +243,18 @@ class MechanismPlan(AnyPlan):
             return self
         common = {field.name: getattr(self, field.name) for field in fields(AnyPlan)}
         kinds = tuple(dict.fromkeys(self.element_kinds))
-        common["elements"] = tuple(dict.fromkeys(kind.element for kind in kinds))
+        acting = tuple(k for k in kinds if not k.element.is_passive)
+        passive = (element for element in self.elements if element.is_passive)
+        common["elements"] = (*dict.fromkeys(kind.element for kind in acting), *passive)
+        constraints = {kind for _, kind in self.constraints} | {*self.usual_constraints}
         return LoopPlan(
-            **common, kinds=self.kinds, joint_kinds=self.joint_kinds, element_kinds=kinds
+            **common,
+            kinds=self.kinds,
+            joint_kinds=self.joint_kinds,
+            element_kinds=tuple(kind for kind in acting if not kind.element.rows),
+            listed_kinds=tuple(self.element_kinds[k] for k in self.listed),
+            constraint_kinds=tuple(sorted(constraints, key=repr)),
+            stabilisation=self.stabilisation,
         )
 
     @cached_property
@@ -223,9 +262,28 @@ class MechanismPlan(AnyPlan):
         """Kind of each element."""
         places = self.connections[len(self.joints) :]
         return tuple(
-            ElementKind(element, at.other == GROUND, at.joint >= 0)
+            ElementKind(element, at.other == GROUND, at.joint >= 0, at.joint >= self.links)
             for element, at in zip(self.elements, places, strict=True)
         )
+
+    @cached_property
+    def listed(self) -> tuple[int, ...]:
+        """Indices of elements that looped code lists one by one: passive ones, then those that
+        may jump.
+        """
+        passive = [k for k, e in enumerate(self.elements) if e.is_passive]
+        return (*passive, *(k for k, e in enumerate(self.elements) if e.discontinuities))
+
+    @cached_property
+    def constraints(self) -> tuple[tuple[int, ConstraintKind], ...]:
+        """Connections with rows, except joints of links: their index, and their kind."""
+        loops = range(self.links, self.links + self.loops)
+        pairs = [(number, ConstraintKind(self.connections[number].rows)) for number in loops]
+        for number, kind in enumerate(self.element_kinds, loops.stop):
+            if kind.element.rows:
+                rows = tuple(kind.element.row(0, i) for i in range(kind.element.rows))
+                pairs.append((number, ConstraintKind(rows, kind)))
+        return tuple(pairs)
 
     @property
     def is_in_memory(self) -> bool:

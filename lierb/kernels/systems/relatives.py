@@ -1,4 +1,4 @@
-"""Relative motion of the two frames of each connection."""
+"""Compute the relative motion of the two frames of each connection."""
 
 from __future__ import annotations
 
@@ -34,25 +34,58 @@ class Relatives:
             self._known[number] = self.motion.between(*pair)
         return self._known[number]
 
-    def equation(self, number: int, row: Row | Vec, wanted: Any) -> NodeRow:
-        """Equation of a connection's row, or of a Jacobian (6,), in the nodes' accelerations."""
+    def parts(self, number: int, row: Row) -> list[tuple[int, Row]]:
+        """Return the part of a connection's row at each connection that it depends on."""
+        own = [(number, row)]
+        return own if row.second is None else [*own, (self.connections[number].second, row.second)]
+
+    def rate(self, number: int, row: Row) -> Any:
+        """Return J V of a connection's row."""
+        total: Any = ZERO
+        for at, part in self.parts(number, row):
+            x = self[at].x
+            total = total + dot(part.jacobian(x, self.ends[at]), x.omega + x.point_rate)
+        return total
+
+    def rate_error(self, number: int, row: Row) -> Any:
+        """Return J V of a connection's row less its prescribed rate."""
+        return self.rate(number, row) - row.prescribed_rate(self[number].x, self.ends[number])
+
+    def bias(self, number: int, row: Row) -> Any:
+        """Return the right-hand side of a row on A_a − Ad A_b of a connection's nodes."""
+        total: Any = ZERO
+        for at, part in self.parts(number, row):
+            relative, ends = self[at], self.ends[at]
+            jacobian = part.jacobian(relative.x, ends)
+            total = total + (part.acceleration(relative.x, ends) + dot(jacobian, relative.bias))
+        return total
+
+    def equation(self, number: int, row: Row, wanted: Any) -> NodeRow:
+        """Return the equation of a connection's row in the nodes' accelerations."""
+        (first, *rest) = (
+            self.wrench(at, part.jacobian(self[at].x, self.ends[at]), wanted)
+            for at, part in self.parts(number, row)
+        )
+        return first._replace(also=rest[0]) if rest else first
+
+    def wrench(self, number: int, jacobian: Vec, wanted: Any = ZERO) -> NodeRow:
+        """Return the equation with a Jacobian (6,), or a wrench between a connection's frames."""
         relative, ends, connection = self[number], self.ends[number], self.connections[number]
-        jacobian = row if isinstance(row, tuple) else row.jacobian(relative.x, ends)
         return node_row(connection, relative, jacobian, ends.inner, wanted)
 
     def residuals(self, number: int, rows: Rows) -> dict[Row, Any]:
-        """Constraint residuals h of a connection's holonomic rows."""
+        """Return the constraint residuals h of a connection's holonomic rows."""
         rows = tuple(r for r in rows if r.is_holonomic)
         return dict(zip(rows, residuals(rows, self[number].x, self.ends[number]), strict=True))
 
     def residual(self, number: int, row: Row) -> Any:
-        """Constraint residual h of one row, zero if the row is not holonomic."""
+        """Return the constraint residual h of one row, zero if the row is not holonomic."""
         if number not in self._residuals:
             self._residuals[number] = self.residuals(number, self.connections[number].rows)
         return self._residuals[number].get(row, ZERO)
 
     def violation(self) -> Any:
-        """Sum of the squares of all rows' residuals, with lengths relative to the mechanism's."""
+        """Return the sum of squares of all residuals, with lengths relative to the mechanism's."""
         inverse = 1.0 / length_of(self.motion.body)
         total: Any = ZERO
         for number, connection in enumerate(self.connections):
@@ -63,14 +96,14 @@ class Relatives:
 
 
 def constrained_part(motion: TreeMotion, i: int, velocity: Vec) -> Vec:
-    """Part of V_rel that violates the rows on whose null space node i is solved."""
+    """Return the part of V_rel that violates the rows on whose null space node i is solved."""
     fixed = kinds_of(motion.nodes[i].rows)[1]
     turning = tuple(velocity[k] if k in fixed else ZERO for k in range(3))
     return turning + motion.held(i, velocity[3:])
 
 
 def largest(squares: Sequence[Any]) -> Any:
-    """Largest of some numbers; NaN where any of them is."""
+    """Return the largest of some numbers; NaN where any of them is."""
     total: Any = ZERO
     for square in squares:
         if is_zero(total) or is_zero(square):
@@ -82,7 +115,7 @@ def largest(squares: Sequence[Any]) -> Any:
 
 
 def multipliers_of_wrench(rows: Rows, x: Kinematics, ends: Ends, wrench: Vec) -> dict[Row, Any]:
-    """Multipliers λ of rows, such that the wrenches −Jᵀλ add up to `wrench`."""
+    """Return the multipliers λ of rows, such that the wrenches −Jᵀλ add up to `wrench`."""
     torque, force = wrench[:3], wrench[3:]
     multipliers: dict[Row, Any] = {}
     for r in rows:
@@ -100,7 +133,7 @@ def multipliers_of_wrench(rows: Rows, x: Kinematics, ends: Ends, wrench: Vec) ->
 
 
 def length_of(body: TreeConstants) -> Any:
-    """Characteristic length of a mechanism, m: radius of gyration of a link plus all lever arms."""
+    """Return the characteristic length, m: radius of gyration of a link plus all lever arms."""
     heavy = next(c for c in body.nodes if c.rigid.mass is not ZERO)
     trace = heavy.inertia[0] + heavy.inertia[4] + heavy.inertia[8]
     total: Any = sqrt(trace / heavy.rigid.mass)

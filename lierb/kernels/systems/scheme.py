@@ -1,7 +1,8 @@
-"""Schemes: the coefficients of one-step methods, on which compiled code is specialised."""
+"""Compiled code is specialised on schemes, the coefficients of one-step methods."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import Any
@@ -11,7 +12,7 @@ Stages = tuple[tuple[float, ...], ...]  # rows of weights of the stages before
 
 @dataclass(frozen=True)
 class Embedded:
-    """Error estimate of a step.
+    """An embedded method estimates the error of a step.
 
     weights : one row, b − b̂, or two rows, E₅ and E₃ of DOP853.   order : order of b̂.
     """
@@ -22,8 +23,9 @@ class Embedded:
 
 @dataclass(frozen=True)
 class Extension:
-    """A continuous extension: further stages, and each stage's weight as a polynomial in θ,
-    Σ weights[i][k] θᵏ⁺¹.
+    """A continuous extension has further stages, and each stage's weight as a polynomial in θ.
+
+    The polynomial is Σ weights[i][k] θᵏ⁺¹.
     """
 
     stages: Stages
@@ -32,14 +34,11 @@ class Extension:
 
 @dataclass(frozen=True, kw_only=True)
 class Scheme:
-    """Coefficients of a method with stages: kᵢ at y + h Σ stages[i][j] kⱼ, end at y + h Σ bᵢ kᵢ.
+    """A scheme is what compiled code knows of a one-step method: its coefficients.
 
-    stages : strictly lower triangle of a matrix, row by row; rows for the error estimate are last.
-    weights : b.
+    embedded, extension : error estimate and continuous extension; None without these.
     """
 
-    stages: Stages
-    weights: tuple[float, ...]
     embedded: Embedded | None = None
     extension: Extension | None = None
 
@@ -52,7 +51,37 @@ class Scheme:
 
     @property
     def described(self) -> dict[str, Any]:
-        """Arguments of the class in `lierb.methods` that make the same method."""
+        """Return the arguments of the class in `lierb.methods` that make the same method."""
+        raise NotImplementedError
+
+    @property
+    def length(self) -> float:
+        """Return the number of stages in the code of a step; infinite for a method without any."""
+        return math.inf
+
+    def carried(self, rows: int) -> int:
+        """Return how many numbers a step passes on to the next one, beside the state.
+
+        rows : number of the system's constraint rows.
+        """
+        return 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class StagedScheme(Scheme):
+    """A method with stages has kᵢ at y + h Σ stages[i][j] kⱼ and ends at y + h Σ bᵢ kᵢ.
+
+    stages : strictly lower triangle of a matrix, row by row; rows for the error estimate are last.
+    weights : b.
+    """
+
+    stages: Stages
+    weights: tuple[float, ...]
+
+    __hash__ = Scheme.__hash__
+
+    @property
+    def described(self) -> dict[str, Any]:
         numbers: dict[str, Any] = {"A": self.stages, "b": self.weights}
         if self.embedded is not None:
             numbers |= {"error": self.embedded.weights, "error_order": self.embedded.order}
@@ -61,14 +90,18 @@ class Scheme:
         return numbers
 
     @property
+    def length(self) -> float:
+        return len(self.stages)
+
+    @property
     def last_stage(self) -> int:
-        """Number of stages needed without error estimate and dense output."""
+        """Return the number of stages needed without error estimate and dense output."""
         return max(i for i, weight in enumerate(self.weights, 1) if weight != 0.0)
 
 
 @dataclass(frozen=True, kw_only=True)
-class ExplicitScheme(Scheme):
-    """Explicit Runge–Kutta method with the matrix A and weights b of its Butcher tableau.
+class ExplicitScheme(StagedScheme):
+    """An explicit Runge–Kutta method has the matrix A and weights b of its Butcher tableau.
 
     exponentials : rows of weights of a commutator-free method, for each stage, then for the end.
     """
@@ -88,8 +121,10 @@ class ExplicitScheme(Scheme):
 
 
 @dataclass(frozen=True, kw_only=True)
-class RosenbrockScheme(Scheme):
-    """Rosenbrock method: (1 − γhJ) kᵢ = γ (f(t + αᵢ h, y + h Σ Aᵢⱼ kⱼ) + Σ Cᵢⱼ kⱼ + γᵢ h ∂f/∂t).
+class RosenbrockScheme(StagedScheme):
+    """A Rosenbrock method solves linear equations in each stage.
+
+    (1 − γhJ) kᵢ = γ (f(t + αᵢ h, y + h Σ Aᵢⱼ kⱼ) + Σ Cᵢⱼ kⱼ + γᵢ h ∂f/∂t).
 
     stages : A.   couplings : C.   nodes, late : αᵢ and γᵢ.
     """
@@ -104,3 +139,52 @@ class RosenbrockScheme(Scheme):
     @property
     def described(self) -> dict[str, Any]:
         return {**super().described, "C": self.couplings, "gamma": self.gamma}
+
+
+@dataclass(frozen=True, kw_only=True)
+class VerletScheme(Scheme):
+    """A variational Störmer–Verlet step is composed of substeps.
+
+    shares : lengths of the substeps, as fractions of the step.
+    """
+
+    shares: tuple[float, ...]
+
+    __hash__ = Scheme.__hash__
+
+    @property
+    def described(self) -> dict[str, Any]:
+        return {"shares": self.shares}
+
+
+@dataclass(frozen=True, kw_only=True)
+class RattleScheme(Scheme):
+    """RATTLE on a Lie group has no coefficients."""
+
+    __hash__ = Scheme.__hash__
+
+    @property
+    def described(self) -> dict[str, Any]:
+        return {}
+
+
+@dataclass(frozen=True, kw_only=True)
+class AlphaScheme(Scheme):
+    """A generalised α method has two parameters.
+
+    rho : ρ∞, the amplification of infinitely fast oscillations.
+    index : 3, position constraints alone, or 2, velocity constraints as well.
+    """
+
+    rho: float
+    index: int
+
+    __hash__ = Scheme.__hash__
+
+    @property
+    def described(self) -> dict[str, Any]:
+        return {"rho": self.rho, "index": self.index}
+
+    def carried(self, rows: int) -> int:
+        """Return the number of V̇ (6), a (6) and λ."""
+        return 12 + rows

@@ -5,7 +5,7 @@ Their numbers are concatenated in the order of the plan's elements.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import lru_cache
 from itertools import accumulate
 from typing import Any, TypeVar
@@ -14,25 +14,26 @@ from lierb.kernels.functions.function import size_of
 from lierb.kernels.functions.shapes import Shapes
 from lierb.kernels.functions.signals import Noise
 from lierb.kernels.mechanics.elements import (
+    AddedStates,
     Bound,
     UserController,
     UserEvent,
     UserObservable,
-    UserStates,
 )
 from lierb.kernels.mechanics.newton_euler import Motion
 from lierb.kernels.numbers.arithmetic import sqrt
 from lierb.kernels.numbers.vec import Vec
+from lierb.kernels.numbers.zero import ZERO
 from lierb.kernels.systems.layout import LANE_END, Columns, Field
 from lierb.kernels.systems.plan import AnyPlan
 
-Kind = TypeVar("Kind", UserObservable, UserEvent, UserStates, UserController)
+Kind = TypeVar("Kind", UserObservable, UserEvent, AddedStates, UserController)
 
 
 @lru_cache(64)
 def states_of(plan: AnyPlan) -> Shapes:
     """All extra states, by name."""
-    return tuple(pair for e in plan.elements if isinstance(e, UserStates) for pair in e.states)
+    return tuple(pair for e in plan.elements if isinstance(e, AddedStates) for pair in e.states)
 
 
 @lru_cache(64)
@@ -112,6 +113,7 @@ class PassiveElements:
 
     motion: Callable[..., Any]
     motions: Callable[..., Callable[[int], Motion]]  # motion by element index
+    felt: Callable[..., Callable[[int], Vec]]  # `Motion.felt` by element index
 
     def travel(
         self, body: Any, start: Any, end: Any, time: Any, watched: bool
@@ -145,20 +147,25 @@ class PassiveElements:
 
     def events_nearby(self, body: Any, motion: Any, time: Any) -> tuple[Any, ...]:
         """Value of each event's function at a motion perturbed by some rounding errors."""
-        x = self.motions(body, motion, time)
-        return tuple(e.value_nearby(own, x(i)) for i, e, own in self._all(UserEvent, body))
+        elements = self._all(UserEvent, body)
+        x = self._seen(elements, body, motion, time)
+        return tuple(e.value_nearby(own, x(i)) for i, e, own in elements)
 
     def state_rates(self, body: Any, motion: Any, time: Any) -> Vec:
         """Derivatives of all extra states."""
-        elements = self._all(UserStates, body)
+        elements = self._all(AddedStates, body)
         if not elements:
             return ()
         x = self.motions(body, motion, time)
         return tuple(rate for i, e, own in elements for rate in e.rates(own, x(i)))
 
-    def initial_states(self, body: Any) -> Vec:
-        """Initial values of all extra states."""
-        return tuple(y for _, e, own in self._all(UserStates, body) for y in e.initial(own))
+    def initial_states(self, body: Any, state: Any) -> Vec:
+        """Initial values of all extra states.   state : the state at the start without them."""
+        elements = self._all(AddedStates, body)
+        motion_of: Callable[[int], Motion | None] = lambda _: None
+        if any(e.depends_on_pose for _, e, _ in elements):
+            motion_of = self.motions(body, self.motion(body, state, ZERO, is_next=True), ZERO)
+        return tuple(y for i, e, own in elements for y in e.at_start(own, motion_of(i)))
 
     def initial_memory(self, body: Any) -> Vec:
         """Initial memory of all controllers."""
@@ -176,7 +183,7 @@ class PassiveElements:
         body.signals : signals, with the memory of all controllers.
         """
         i, element, own = self._all(UserController, body)[which]
-        x = self.motions(body, motion, time)(i)
+        x = self._seen([(i, element, own)], body, motion, time)(i)
         memory = x.signals.memory[memory_slices(self.plan)[which]]
         return element.called(own, x._replace(signals=x.signals._replace(memory=memory)), noise)
 
@@ -189,5 +196,15 @@ class PassiveElements:
         elements = self._all(kind, body)
         if not elements:
             return ()
-        x = self.motions(body, motion, time)
+        x = self._seen(elements, body, motion, time)
         return tuple(e.value(own, x(i)) for i, e, own in elements)
+
+    def _seen(
+        self, elements: Sequence[tuple[int, Any, Any]], body: Any, motion: Any, time: Any
+    ) -> Callable[[int], Motion]:
+        """Motion by element index, with accelerations if one of the elements takes them."""
+        motions = self.motions(body, motion, time)
+        if not any(element.feels for _, element, _ in elements):
+            return motions
+        felt = self.felt(body, motion, time)
+        return lambda i: motions(i)._replace(felt=felt(i))

@@ -1,4 +1,4 @@
-"""Stabilisation by projection of pose and velocity onto all rows after each step.
+"""Stabilise by projecting pose and velocity onto all rows after each step.
 
 Baumgarte's terms are in the accelerations, `lierb.kernels.systems.tree_acceleration`.
 """
@@ -11,7 +11,7 @@ from typing import Any
 from lierb.kernels.mechanics.tree import TreeConstants, TreeMotion
 from lierb.kernels.mechanics.tree_dynamics import bodies_of, solved
 from lierb.kernels.numbers.arithmetic import any_lanes, branch, fma, maximum, where
-from lierb.kernels.numbers.vec import Vec, add, cross_add, dot, mat_vec, neg, scale
+from lierb.kernels.numbers.vec import Vec, add, cross_add, mat_vec, neg, scale
 from lierb.kernels.systems.relatives import Relatives, constrained_part, length_of, size_of
 from lierb.kernels.systems.state import Stabilised, State
 from lierb.kernels.systems.tree_acceleration import TreeAccelerations
@@ -25,7 +25,7 @@ UNMOVED = 1e-6
 
 
 class Projection(TreeAccelerations):
-    """Projection of poses and velocities onto all rows, with the least kinetic energy."""
+    """Project poses and velocities onto all rows, with the least kinetic energy."""
 
     def stabilised(
         self, body: TreeConstants, before: State, state: State, time: Any, h: Any
@@ -64,17 +64,17 @@ class Projection(TreeAccelerations):
         most = fma(h, speed, UNMOVED * length)
         mark = where(way > most, 1.0, mark)
         change = self._onto_rows(body, chart, state.v_or_mu, time)
-        if all(row.is_holonomic for _, row in self.rows):
+        if not any(row.depends_on_time for _, row in self.rows):
             mark = where(h * length * size_of(length, change) > most * most, 1.0, mark)
         kept = state._replace(chart=chart, v_or_mu=add(state.v_or_mu, change))
         return Stabilised(kept, mark, x, change)
 
     def _violation(self, body: TreeConstants, chart: Charts, time: Any) -> Any:
-        """Violation of the rows at a pose; see `Relatives.violation`."""
+        """Return the violation of the rows at a pose; see `Relatives.violation`."""
         return self.relatives(body, self.motion_at(body, chart, None, time)).violation()
 
     def _newton_step(self, body: TreeConstants, chart: Charts, time: Any) -> Vec:
-        """Newton step onto all rows, in the algebra."""
+        """Return the Newton step onto all rows, in the algebra."""
         motion = self.motion_at(body, chart, None, time)
         relatives = self.relatives(body, motion)
         wanted = [-relatives.residual(number, row) for number, row in self.rows]
@@ -85,11 +85,7 @@ class Projection(TreeAccelerations):
         """Least change of the velocity such that it satisfies all rows."""
         motion = self.motion_at(body, chart, velocity, time)
         relatives = self.relatives(body, motion)
-        wanted = []
-        for number, r in self.rows:
-            x, ends = relatives[number].x, body.ends[number]
-            rate = dot(r.jacobian(x, ends), x.omega + x.point_rate)
-            wanted.append(r.prescribed_rate(x, ends) - rate)
+        wanted = [-relatives.rate_error(number, r) for number, r in self.rows]
         biases = [
             neg(constrained_part(motion, i, relative)) for i, relative in enumerate(motion.relative)
         ]
@@ -98,8 +94,8 @@ class Projection(TreeAccelerations):
     def _displaced(
         self, motion: TreeMotion, relatives: Relatives, wanted: list[Any], biases: list[Vec]
     ) -> Vec:
-        """Smallest motion, in the kinetic metric, with the components `wanted` along the rows."""
-        rows = [each._replace(fall=None) for each in self.equations(relatives, wanted)]
+        """Return the smallest motion, in the kinetic metric, with row components `wanted`."""
+        rows = [each.on_still_ground() for each in self.equations(relatives, wanted)]
         violation = partial(self.violation_of, motion)
         solution = solved(bodies_of(motion, rows), rows, {}, biases, violation=violation)
         moved: list[Any] = []

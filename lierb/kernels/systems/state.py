@@ -1,4 +1,4 @@
-"""State of a system, its rates, and the statuses of a trajectory."""
+"""A system has a state and rates; a trajectory has a status."""
 
 from __future__ import annotations
 
@@ -12,7 +12,9 @@ Factors = tuple[Weights, ...]  # weights of a commutator-free method, one row fo
 
 
 class State(NamedTuple):
-    """Pose, velocity, work and extra states; n = 6 for a body, 6 for each node of a mechanism.
+    """A state has pose, velocity, work and extra states.
+
+    n = 6 for a body, 6 for each node of a mechanism.
 
     chart : C₀, a unit quaternion and a position (m); for a mechanism, a tuple with one per node.
     x : X/2 (n,), rad and m, with the pose C = C₀ exp X; in an ambient update Y within a step, with
@@ -20,6 +22,7 @@ class State(NamedTuple):
     v_or_mu : V (n,), rad/s and m/s; on a subgroup the momentum μ.
     work : work of all forces without potential, J; structurally zero if there are none.
     states : the user's extra states, concatenated.
+    carried : numbers that the method passes on from step to step.
     """
 
     chart: Any
@@ -27,10 +30,11 @@ class State(NamedTuple):
     v_or_mu: Vec
     work: Any = ZERO
     states: Vec = ()
+    carried: Vec = ()
 
 
 class Rates(NamedTuple):
-    """Time derivatives of a state.
+    """Hold the time derivatives of a state.
 
     x : Ẋ (n,), rad/s and m/s, or 2Ẏ.   v_or_mu : V̇ or μ̇ (n,).   power : derivative of the work, W.
     singular : 1 in a singular configuration.   states : derivatives of the extra states.
@@ -61,7 +65,7 @@ class Slopes(NamedTuple):
 
 
 class Units(NamedTuple):
-    """Factors of the weighted sums of slopes: h for slopes by the second.
+    """Hold the factors of the weighted sums of slopes: h for slopes by the second.
 
     x : factor of Ẋ or 2Ẏ, halved as the state is X/2 or Y.   v_or_mu : of V̇ or μ̇.
     other : of other slopes.
@@ -88,4 +92,4 @@ class Stabilised(NamedTuple):
     v_or_mu: Vec = ()
 
 
-OK, SINGULAR, NON_FINITE, RAISED, MAX_STEPS, DT_MIN, EVENT = range(7)
+OK, SINGULAR, NON_FINITE, RAISED, NO_CONVERGENCE, MAX_STEPS, DT_MIN, EVENT = range(8)

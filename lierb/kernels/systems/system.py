@@ -1,4 +1,4 @@
-"""Protocol of a system: the interface that steppers, loops and results use.
+"""The protocol of a system is the interface that steppers, loops and results use.
 
 Numbers are floats, arrays, lanes of a pack or duals, of one type in each call. n is 6 for one body,
 and 6 times the number of nodes for a mechanism.
@@ -31,7 +31,7 @@ Motion = TypeVar("Motion")
 
 
 class System(Protocol[Body, Motion]):
-    """One body on a joint, or a mechanism.
+    """A system is one body on a joint, or a mechanism.
 
     Body : its constants, in joint axes.   Motion : poses and velocities at one time.
     """
@@ -42,11 +42,11 @@ class System(Protocol[Body, Motion]):
     def plan(self) -> AnyPlan: ...
     @property
     def links(self) -> int:
-        """Number of links."""
+        """Return the number of links."""
 
     @property
     def joints(self) -> tuple[Connection, ...]:
-        """Joints whose errors have separate columns."""
+        """Return the joints whose errors have separate columns."""
 
     @property
     def inputs(self) -> Columns:
@@ -54,37 +54,37 @@ class System(Protocol[Body, Motion]):
 
     @property
     def state(self) -> Columns:
-        """Columns of a state, in the order of its numbers."""
+        """Return the columns of a state, in the order of its numbers."""
 
     @property
     def invariant(self) -> tuple[int, ...]:
-        """Components of V that stay exactly zero if they are zero."""
+        """Return the components of V that stay exactly zero if they are zero."""
 
     @property
     def is_homogeneous(self) -> bool:
-        """True if the rates of s V under s² times gravity are s Ẋ and s² V̇, for any s."""
+        """Return whether the rates of s V under s² times gravity are s Ẋ and s² V̇, for any s."""
 
     @property
     def is_light(self) -> bool:
-        """True if a step is so simple that registers hold two packs of its numbers."""
+        """Return whether a step is so simple that registers hold two packs of its numbers."""
 
     @property
     def takes_small_angle_steps(self) -> bool:
-        """True if a second kernel, for small-angle steps without branches, pays."""
+        """Return whether a second kernel, for small-angle steps without branches, pays."""
 
     # ---- start ----
 
     def body(self, numbers: list[Any]) -> Body:
-        """Constants in joint axes, from the numbers of all inputs but a state (SI)."""
+        """Return the constants in joint axes, from the numbers of all inputs but a state (SI)."""
 
     def placed(self, body: Body, numbers: list[Any]) -> Any:
         """Part of a start that depends on the pose only, not on the twist."""
 
     def start(self, body: Body, placed: Any, numbers: list[Any]) -> State:
-        """State at the start, from poses and twists in the user's frames."""
+        """Return the state at the start, from poses and twists in the user's frames."""
 
     def state_of(self, numbers: Sequence[Any], body: Body | None = None) -> State:
-        """State from its concatenated numbers, with the structural zeros of the plan."""
+        """Return the state from concatenated numbers, with the structural zeros of the plan."""
 
     def pose_check(self, numbers: list[Any], time: Any) -> Any:
         """Part of the check of a start that depends on the pose only.   time : s."""
@@ -95,15 +95,18 @@ class System(Protocol[Body, Motion]):
     # ---- steps ----
 
     def chart_gravity(self, body: Body, chart: Any) -> Any:
-        """Gravity in the axes of C₀, (3,) m/s², shared by all stages on one chart; or None."""
+        """Return gravity in the axes of C₀, (3,) m/s², for all stages on one chart; or None."""
 
     def rates(self, body: Body, state: State, gravity: Any, time: Any) -> Rates:
-        """Rates at C₀ exp X.   gravity : see `chart_gravity`.   time : s."""
+        """Return the rates at C₀ exp X.   gravity : see `chart_gravity`.   time : s."""
 
     def stage_rates(
         self, body: Body, state: State, gravity: Any, time: Any, stage: int = 0
     ) -> Rates:
-        """Rates at C₀ exp X, including those of the extra states.   stage : index in `Slopes`."""
+        """Return the rates at C₀ exp X, including those of the extra states.
+
+        stage : index in `Slopes`.
+        """
 
     def combine(
         self,
@@ -126,64 +129,67 @@ class System(Protocol[Body, Motion]):
         """
 
     def tidied(self, body: Body, chart: Any) -> Any:
-        """Chart without accumulated rounding: unit quaternions, screw joints on their subgroup."""
+        """Remove rounding: normalise quaternions, put screw joints on their subgroup."""
 
     def stabilised(self, body: Body, before: State, state: State, time: Any, h: Any) -> Stabilised:
         """Project a state onto its constraints.   before : state h seconds earlier.   time : s."""
 
     def silenced(self, body: Body, v_or_mu: Vec, alive: Any) -> Vec:
-        """V or μ, NaN where a trajectory is not alive; it spreads to the pose in the next step."""
+        """Set V or μ to NaN where a trajectory is not alive; the pose follows in the next step."""
 
     # ---- independent numbers ----
 
     @property
     def free(self) -> tuple[int, ...]:
-        """Components of X, and of V or μ, that are independent."""
+        """Return the components of X, and of V or μ, that are independent."""
 
     def completed(self, body: Body, v_or_mu: Vec) -> Vec:
-        """V or μ (n,) with the components that follow from the independent ones."""
+        """Complete V or μ (n,) with the components that follow from the independent ones."""
 
     # ---- error control ----
 
     def in_algebra(self, body: Body, x: Vec) -> Vec:
-        """X (n,) with the structural zeros of the joints' subalgebras; Y as it is."""
+        """Return X (n,) with the structural zeros of the joints' subalgebras; Y as it is."""
 
     def turning_and_moving(self, x: Vec) -> tuple[Vec, Vec]:
-        """Parts of a sum of slopes of X or Y that turn and that displace, concatenated.
+        """Return the parts that turn and that displace of a sum of slopes of X or Y, concatenated.
 
         The length of such a part is that of its motion, rad or m.
         """
 
     def velocity(self, body: Body, v_or_mu: Vec) -> Vec:
-        """V (n,), rad/s and m/s, from V or μ."""
+        """Return V (n,), rad/s and m/s, from V or μ."""
 
     def places(self, chart: Any) -> Vec:
-        """Positions of the chart, m, concatenated."""
+        """Return the positions of the chart, m, concatenated."""
 
     def turns_and_places(self, chart: Any) -> tuple[Vec, Vec]:
-        """Numbers that are finite if all rotations are, and positions, m."""
+        """Return numbers that are finite if all rotations are, and positions, m."""
 
     def angular_speeds_squared(self, body: Body, state: State) -> list[Any]:
-        """‖ω‖² of each node, rad²/s²."""
+        """Return ‖ω‖² of each node, rad²/s²."""
 
     # ---- measures ----
 
-    def motion(self, body: Body, state: State, time: Any) -> Motion:
-        """Poses and velocities, from which measures, elements and events are computed."""
+    def motion(self, body: Body, state: State, time: Any, is_next: bool = False) -> Motion:
+        """Return poses and velocities, from which measures, elements and events are computed.
+
+        is_next : whether the state is the end of a step, if states are in memory.
+        """
 
     def dropped(self, body: Body, state: State) -> Any:
-        """Number of rows that depend on others."""
+        """Return the number of rows that depend on others."""
 
     def measured(
         self, body: Body, state: State, motion: Motion, time: Any, first_energy: Any = ...
     ) -> Observed:
-        """Value or square of every measure.   first_energy : energy at the start of the run, J."""
+        """Return every measure's value or square.   first_energy : energy at the start, J."""
 
     def in_user_frames(self, body: Body, numbers: list[Any], state: State) -> list[Vec]:
-        """R (9,) row by row, r (3,), ω (3,), v (3,) of every link, in the user's frames."""
+        """Return R (9,) row by row, r (3,), ω (3,), v (3,) of every link, in the user's frames."""
 
     def forces(self, body: Body, state: State, time: Any) -> tuple[Vec, list[Vec]]:
-        """λ of all rows, and every joint's wrench (6,) on its body, about its frame there."""
+        """Return all rows' λ, and every joint's wrench (6,) on its body, about its frame there."""
 
     # ---- passive elements; see `lierb.kernels.systems.signals.PassiveElements` ----
 
@@ -195,7 +201,7 @@ class System(Protocol[Body, Motion]):
     def events(self, body: Body, motion: Motion, time: Any) -> tuple[Any, ...]: ...
     def events_nearby(self, body: Body, motion: Motion, time: Any) -> tuple[Any, ...]: ...
     def state_rates(self, body: Body, motion: Motion, time: Any) -> Vec: ...
-    def initial_states(self, body: Body) -> Vec: ...
+    def initial_states(self, body: Body, state: State) -> Vec: ...
     def initial_memory(self, body: Body) -> Vec: ...
     def periods(self, body: Body) -> Vec: ...
     def controlled(

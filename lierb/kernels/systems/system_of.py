@@ -1,4 +1,4 @@
-"""The system that a plan integrates: one body, or a mechanism."""
+"""A plan integrates a system: one body, or a mechanism."""
 
 from __future__ import annotations
 
@@ -14,18 +14,19 @@ from lierb.kernels.systems.plan import AnyPlan, LoopPlan, MechanismPlan, Plan
 from lierb.kernels.systems.system import AnySystem, System
 from lierb.kernels.systems.tree_loop import TreeLoop
 from lierb.kernels.systems.tree_system import TreeFormulation
+from lierb.kernels.tracing.cpu import DEFAULT_LANES
 
 
 @lru_cache(256)
 def in_memory(plan: AnyPlan) -> TreeLoop:
-    """System of a looped plan, which has what steps of one length need, and stores its results."""
+    """Return the system of a looped plan, for steps of one length; it stores its results."""
     assert isinstance(plan, LoopPlan)
     return TreeLoop(plan)
 
 
 @lru_cache(256)
 def system_of(plan: AnyPlan) -> AnySystem:
-    """System of a plan."""
+    """Return the system of a plan."""
     if isinstance(plan, LoopPlan):
         return cast(AnySystem, in_memory(plan))
     if isinstance(plan, MechanismPlan):
@@ -39,16 +40,16 @@ def system_of(plan: AnyPlan) -> AnySystem:
 def takes_small_angle_steps(plan: AnyPlan) -> bool:
     """Return whether to try small-angle steps without branches.
 
-    They must not call functions that may raise.
+    They must not call functions that may raise. With derivatives the second kernel does not pay.
     """
     calls = any(not f.is_traced for element in plan.acting for f in element.functions)
-    is_plain = plan.is_explicit and plan.update == "local" and not calls
+    is_plain = plan.is_explicit and plan.update == "local" and not calls and not plan.moving
     return is_plain and system_of(plan).takes_small_angle_steps
 
 
 @lru_cache(256)
 def plan_of(width: int, **described: Any) -> Plan:
-    """Plan for registers that hold `width` numbers, always the same object for the same arguments.
+    """Return the plan for registers of `width` numbers, one object for the same arguments.
 
     The plan is the key of its compiled code, and identity makes look-up fast.
 
@@ -64,3 +65,12 @@ def plan_of(width: int, **described: Any) -> Plan:
     plan = Plan(lanes=width, **described)
     doubles = width > 1 and system_of(plan).is_light
     return replace(plan, lanes=2 * width) if doubles else plan
+
+
+@lru_cache(256)
+def plan_with_derivatives(plan: AnyPlan, moving: tuple[str, ...]) -> AnyPlan:
+    """Return the plan of the same run, with derivatives of these fields of the inputs.
+
+    It takes one pack: dual numbers fill the registers.
+    """
+    return replace(plan, moving=moving, lanes=min(plan.lanes, DEFAULT_LANES))

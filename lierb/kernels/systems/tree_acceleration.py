@@ -20,7 +20,6 @@ from lierb.kernels.numbers.vec import (
     axpy,
     cross,
     cross_add,
-    dot,
     mat_t_vec,
     mat_vec_add,
     neg,
@@ -110,8 +109,7 @@ class TreeAccelerations(TreeCharts):
         length, pose = length_of(motion.body), relatives.violation()
         rates: Any = ZERO
         for number, r in self.rows:
-            x, ends = relatives[number].x, motion.body.ends[number]
-            rate = dot(r.jacobian(x, ends), x.omega + x.point_rate) - r.prescribed_rate(x, ends)
+            rate = relatives.rate_error(number, r)
             part = rate if r.is_translational else length * rate
             rates = fma(part, part, rates)
         speed = size_of(length, tuple(x for relative in again.relative for x in relative))
@@ -142,21 +140,17 @@ class TreeAccelerations(TreeCharts):
             x = relatives[number].x.motion._replace(signals=body.signals)
             wrench = element.wrench(placed, x)
             power = power + element.power(placed, x, wrench)
-            acting = relatives.equation(number, wrench[0] + wrench[1], ZERO)
+            acting = relatives.wrench(number, wrench[0] + wrench[1])
             for i, load in acting.loads().items():
                 loads[i] = add(loads[i], load) if i in loads else load
         return loads, power
 
     def _acceleration(self, number: int, row: Row, relatives: Relatives) -> Any:
-        """Right-hand side of a row: J times A_a − Ad A_b, the accelerations of its two nodes."""
-        relative, ends = relatives[number], relatives.ends[number]
-        x, kept = relative.x, self.plan.stabilisation
-        jacobian = row.jacobian(x, ends)
-        wanted = row.acceleration(x, ends) + dot(jacobian, relative.bias)
+        """Right-hand side of a row, with Baumgarte's terms."""
+        kept, wanted = self.plan.stabilisation, relatives.bias(number, row)
         if kept.kind != "baumgarte":
             return wanted
-        off = dot(jacobian, x.omega + x.point_rate) - row.prescribed_rate(x, ends)
-        wanted = fma(-2.0 * kept.alpha, off, wanted)
+        wanted = fma(-2.0 * kept.alpha, relatives.rate_error(number, row), wanted)
         return fma(-kept.beta * kept.beta, relatives.residual(number, row), wanted)
 
     def _damped(self, i: int, motion: TreeMotion) -> Vec:

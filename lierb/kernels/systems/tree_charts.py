@@ -1,4 +1,4 @@
-"""Poses and velocities of a mechanism's nodes, and their arithmetic.
+"""Compute with the poses and velocities of a mechanism's nodes.
 
 The state has a chart, X and a velocity for every node (`lierb.kernels.mechanics.tree`). On reduced
 coordinates they have the structural zeros of the joint's subgroup.
@@ -41,7 +41,7 @@ Charts = tuple[Chart, ...]  # one for each node
 
 @dataclass(frozen=True)
 class TreeCharts(StateArithmetic):
-    """State of a mechanism."""
+    """The state of a mechanism has a chart for each node."""
 
     plan: MechanismPlan
 
@@ -84,7 +84,7 @@ class TreeCharts(StateArithmetic):
         return v_or_mu
 
     def angular_speeds_squared(self, body: TreeConstants, state: State) -> list[Any]:
-        """‖ω‖² of each node, on its joint if reduced, rad²/s²."""
+        """Return ‖ω‖² of each node, on its joint if reduced, rad²/s²."""
         return [dot(v[:3], v[:3]) for v in sixes(state.v_or_mu)]
 
     def places(self, chart: Charts) -> Vec:
@@ -102,7 +102,7 @@ class TreeCharts(StateArithmetic):
 
     @cached_property
     def widths(self) -> tuple[int, ...]:
-        """Numbers of X, or of Y within a step, of each node."""
+        """Return the number of components of X, or of Y within a step, of each node."""
         return tuple(WIDTH if self._takes_ambient(node) else 6 for node in self.plan.tree)
 
     @cached_property
@@ -113,7 +113,7 @@ class TreeCharts(StateArithmetic):
         return self.plan.is_ambient and takes_ambient(node)
 
     def increments(self, x: Vec) -> list[Increment]:
-        """Motion of each node since its chart.   x : X/2 or Y, of all nodes."""
+        """Return the motion of each node since its chart.   x : X/2 or Y, of all nodes."""
         found: list[Increment] = []
         for node, part in zip(self.plan.tree, self._by_node(x), strict=True):
             if self._takes_ambient(node):
@@ -170,14 +170,16 @@ class TreeCharts(StateArithmetic):
             for node, constants, each in zip(self.plan.tree, body.nodes, chart, strict=True)
         )
 
-    def motion(self, body: TreeConstants, state: State, time: Any) -> TreeMotion:
+    def motion(
+        self, body: TreeConstants, state: State, time: Any, is_next: bool = False
+    ) -> TreeMotion:
         chart = state.chart if self.plan.is_local else self.moved(state.chart, state.x)
         return self.motion_at(body, chart, state.v_or_mu, time)
 
     def motion_at(
         self, body: TreeConstants, chart: Charts, velocity: Vec | None, time: Any
     ) -> TreeMotion:
-        """Motion of the tree at a chart; at rest if velocity is None."""
+        """Return the motion of the tree at a chart; at rest if velocity is None."""
         pairs = zip(self.plan.tree, chart, strict=True)
         poses = [charts_of(node).pose(each) for node, each in pairs]
         velocity = velocity or (ZERO,) * (6 * len(chart))

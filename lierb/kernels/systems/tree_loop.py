@@ -12,30 +12,30 @@ from __future__ import annotations
 from typing import Any
 
 from lierb.kernels.mechanics import tree_nodes
-from lierb.kernels.mechanics.tree import HERE, Ends
-from lierb.kernels.mechanics.tree_nodes import JointKind, Kind
+from lierb.kernels.mechanics.tree_nodes import Kind
 from lierb.kernels.numbers.arithmetic import flatten, scatter, sqrt, store, where
-from lierb.kernels.numbers.vec import Vec, add
-from lierb.kernels.numbers.zero import ZERO, is_zero
-from lierb.kernels.systems import tree_table as at
+from lierb.kernels.numbers.zero import is_zero
+from lierb.kernels.systems import tree_places as at
 from lierb.kernels.systems.combine import NAN
 from lierb.kernels.systems.layout import POSE_AND_TWIST
 from lierb.kernels.systems.measures import JOINT_ERRORS, JOINT_KEPT
-from lierb.kernels.systems.relatives import multipliers_of_wrench
 from lierb.kernels.systems.state import State
-from lierb.kernels.systems.tree_loop_measures import LoopMeasures
+from lierb.kernels.systems.tree_loop_forces import LoopForces
 from lierb.kernels.systems.tree_memory import LoopBody, MemoryNode
 from lierb.kernels.tracing.arrays import Index
 from lierb.kernels.tracing.memory import for_each
 
 
-class TreeLoop(LoopMeasures):
+class TreeLoop(LoopForces):
     """A `lierb.kernels.systems.system.System`: a mechanism whose nodes are in memory."""
 
     def store_errors(
         self, body: LoopBody, history: Any, first: int, row: Any, column: Any, alive: Any
-    ) -> None:
-        """Store JOINT_ERRORS of every joint in a history, from column `first` on."""
+    ) -> Index:
+        """Store JOINT_ERRORS of every joint in a history, from column `first` on.
+
+        Return the column behind them.
+        """
         tree, count = self._tree(body), len(JOINT_ERRORS)
 
         def one(link: Index) -> None:
@@ -45,7 +45,8 @@ class TreeLoop(LoopMeasures):
             places = [(c, row, column) for c in columns]
             scatter(history, 2, places, errors, self.plan.lanes)
 
-        for_each(tree[at.LINKS], one)
+        for_each(tree[at.JOINTS], one)
+        return tree[at.JOINTS] * count + first
 
     def store_kept(self, body: LoopBody, summary: Any, first: int, column: Any) -> None:
         """Store JOINT_KEPT of every joint in a summary, from column `first` on."""
@@ -56,14 +57,14 @@ class TreeLoop(LoopMeasures):
             places = [(link * count + (first + c), column) for c in range(count)]
             scatter(summary, 1, places, [sqrt(square) for square in kept], self.plan.lanes)
 
-        for_each(tree[at.LINKS], one)
+        for_each(tree[at.JOINTS], one)
 
     def store_links(
         self, body: LoopBody, states: tuple[Any, ...], row: Any, rows: Any, column: Any, alive: Any
     ) -> None:
         """Store R, r, ω and v of every link in the user's frames; NaN where not alive."""
-        self.motion(body, State((), (), ()), ZERO)
         tree = self._tree(body)
+        self._see(tree, is_next=False)
 
         def link(node: MemoryNode) -> None:
             numbers = tree_nodes.in_user_frame(node.details, node.motion)
@@ -75,10 +76,12 @@ class TreeLoop(LoopMeasures):
 
         tree.for_links(link)
 
-    def put_links(self, body: LoopBody, shown: Any, alive: Any) -> None:
-        """Store the numbers of `store_links` in the rows of a lane's workspace."""
-        self.motion(body, State((), (), ()), ZERO)
+    def put_links(self, body: LoopBody, shown: Any, alive: Any) -> Index:
+        """Store the numbers of `store_links` in the rows of a lane's workspace; return the row
+        behind them.
+        """
         tree, width = self._tree(body), POSE_AND_TWIST.count
+        self._see(tree, is_next=False)
 
         def link(node: MemoryNode) -> None:
             numbers = tree_nodes.in_user_frame(node.details, node.motion)
@@ -87,56 +90,10 @@ class TreeLoop(LoopMeasures):
                 store(shown, (first + c, 0), where(alive, x, NAN), self.plan.lanes)
 
         tree.for_links(link)
+        return tree[at.LINKS] * width
 
-    def store_forces(
-        self, body: LoopBody, multipliers: Any, reactions: Any, place: Any, time: Any, alive: Any
-    ) -> None:
-        """Store λ and the wrench of every joint on its body; NaN where not alive.
-
-        multipliers, reactions : result arrays.   place : row, rows and column in them.
-        """
-        tree, acts = self._tree(body), bool(self.plan.element_kinds)
-        self._stay(tree)
-        self._run("rates", body, self._rates, self._spare(tree), time)
-        wrenches = tree.section(at.WRENCH_ROW)
-        for_each(tree[at.NODES] * 6 + 6, lambda i: wrenches.put(i, 0.0))
-
-        def one(node: MemoryNode) -> None:
-            load = node.part(at.LOADS_ROW, 6)[0:6] if acts else None
-            own = node.part(at.WRENCH_ROW, 6)
-            total = add(own[0:6], tree_nodes.transmitted(node.constants, node.motion, load))
-            outer = node.parent.part(at.WRENCH_ROW, 6)
-            outer.put(0, *add(outer[0:6], tree_nodes.passed_wrench(total, node.motion)))
-            own.put(0, *tree_nodes.in_node_axes(total, node.motion))
-
-        def put(array: Any, first: Any, column: Any, numbers: Vec) -> None:
-            shown = [where(alive, x, NAN) for x in numbers]
-            places = [(first, place.column, column + c) for c in range(len(shown))]
-            scatter(array, 1, places, shown, self.plan.lanes)
-
-        def put_joint(node: MemoryNode) -> None:
-            wrench = node.part(at.WRENCH_ROW, 6)[0:6]
-
-            def do(joint: JointKind) -> None:
-                if joint.role == tree_nodes.MASSLESS:
-                    return
-                if self.plan.reaction:
-                    first = node.entry(at.LINK) * place.rows + place.row
-                    put(reactions, first, tree.index(0), wrench)
-                if self.plan.multipliers and joint.rows:
-                    x = tree_nodes.kinematics(*node.on_joint(joint))
-                    ends = Ends(HERE, HERE, joint.kind.pitch(node.constants))
-                    found = multipliers_of_wrench(joint.rows, x, ends, wrench)
-                    numbers = tuple(found[row] for row in joint.rows)
-                    put(multipliers, place.row, node.entry(at.MULTIPLIER), numbers)
-
-            node.each_joint(do)
-
-        tree.for_nodes(one, backward=True)
-        tree.for_nodes(put_joint)
-
-    def store_end(self, body: LoopBody, ends: Any, column: Any) -> None:
-        """Store the state for a run that continues: numbers of the charts, then of V_rel."""
+    def store_end(self, body: LoopBody, state: State, ends: Any, column: Any) -> None:
+        """Store the state for a run that continues: charts, V_rel, extra states."""
         tree = self._tree(body)
 
         def put(first: Index, numbers: Any) -> None:
@@ -156,6 +113,7 @@ class TreeLoop(LoopMeasures):
             node.each_kind(do)
 
         tree.for_nodes(one)
+        put(tree[at.END_COLUMNS] + -len(state.states), state.states)
 
     def end_columns(self, body: LoopBody) -> Index:
         """Number of a state's columns at the end of a run."""

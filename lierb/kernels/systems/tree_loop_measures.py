@@ -8,52 +8,47 @@ from lierb.kernels.mechanics import tree_nodes
 from lierb.kernels.mechanics.tree_nodes import JointKind
 from lierb.kernels.numbers.arithmetic import maximum, plain, where
 from lierb.kernels.numbers.zero import ZERO, is_zero
-from lierb.kernels.systems import tree_table as at
+from lierb.kernels.systems import tree_places as at
 from lierb.kernels.systems.combine import NAN
 from lierb.kernels.systems.measures import JOINT_ERRORS, JOINT_KEPT, Observed, orthogonality_squared
-from lierb.kernels.systems.plan import ElementKind
+from lierb.kernels.systems.plan import ConstraintKind, ElementKind
 from lierb.kernels.systems.state import State
-from lierb.kernels.systems.tree_loop_steps import LoopSteps
-from lierb.kernels.systems.tree_memory import LoopBody, MemoryElement, MemoryNode, MemoryTree
-from lierb.kernels.systems.tree_table import slopes_of
+from lierb.kernels.systems.tree_loop_motion import LoopMotion
+from lierb.kernels.systems.tree_loop_projection import LoopProjection
+from lierb.kernels.systems.tree_memory import (
+    LoopBody,
+    MemoryConstraint,
+    MemoryElement,
+    MemoryNode,
+    MemoryTree,
+)
 from lierb.kernels.tracing.arrays import Index
 from lierb.kernels.tracing.memory import for_each
 
 
-class LoopMeasures(LoopSteps):
+class LoopMeasures(LoopProjection):
     """Motion, energy, errors of the joints."""
 
-    def motion(self, body: LoopBody, state: State, time: Any) -> None:
-        """Store the motion of the nodes at the state."""
+    def dropped(self, body: LoopBody, state: State) -> Any:
+        if not self.plan.constraint_kinds:
+            return ZERO
         tree = self._tree(body)
         self._stay(tree)
-        self._call_place(tree, self._spare(tree), is_whole=True)
+        self._run("rank", body, self._rank, self._spare(tree))
+        return tree.section(at.SUMS_ROW)[at.DEPENDENT]
 
-    def _spare(self, tree: MemoryTree) -> Index:
-        """Rows of all slopes of a step, behind which those of a state at rest are."""
-        return tree[at.FREEDOMS] * slopes_of(self.plan)
-
-    def _stay(self, tree: MemoryTree) -> None:
-        """Make the state the stage."""
-        x, v, stage = (tree.section(name) for name in (at.X_ROW, at.V_ROW, at.STAGE_ROW))
-
-        def copy(i: Index) -> None:
-            x.put(i, 0.0)
-            stage.put(i, v[i])
-
-        for_each(tree[at.FREEDOMS], copy)
-
-    def observed(self, body: LoopBody, motion: None, time: Any) -> tuple[Any, ...]:
-        return ()
-
-    def dropped(self, body: LoopBody, state: State) -> Any:
-        return ZERO
+    def _rank(self, tree: MemoryTree, ahead: Index) -> None:
+        """Count the rows that depend on others."""
+        self._call_place(tree, ahead, is_whole=True)
+        self._gather(tree, acts=False)
+        self._ask(tree, ZERO, lambda *_: 0.0)
+        self._factor(tree)
 
     def measured(
-        self, body: LoopBody, state: State, motion: None, time: Any, first_energy: Any = ZERO
+        self, body: LoopBody, state: State, motion: LoopMotion, time: Any, first_energy: Any = ZERO
     ) -> Observed:
         """Return every measure; store the errors of the joints."""
-        self._run("measure", body, self._measure)
+        self._run("measure", body, self._measure, *((time,) if self.plan.constraint_kinds else ()))
         sums = self._tree(body).section(at.SUMS_ROW)
         energy, orthogonality, *errors = sums[0 : at.POWER]
         names = (measure.name for measure in JOINT_ERRORS)
@@ -65,9 +60,14 @@ class LoopMeasures(LoopSteps):
         }
         return Observed(values)
 
-    def _measure(self, tree: MemoryTree) -> None:
+    def _measure(self, tree: MemoryTree, time: Any = ZERO) -> None:
         sums, gravity = tree.section(at.SUMS_ROW), tree.ground.constants[0:3]
         sums.put(0, *(0.0,) * at.SUMS)
+
+        def add(squares: tuple[Any, ...]) -> None:
+            for row, square in enumerate(squares, at.ERRORS):
+                if not is_zero(square):
+                    sums.put(row, maximum(sums[row], square))
 
         def one(node: MemoryNode) -> None:
             constants, here = node.constants, node.motion
@@ -83,18 +83,25 @@ class LoopMeasures(LoopSteps):
                 pitch = joint.kind.pitch(constants)
                 squares = tree_nodes.errors_squared(joint.rows, d, moving, pitch)
                 errors.put(0, *squares)
-                for row, square in enumerate(squares, at.ERRORS):
-                    if not is_zero(square):
-                        sums.put(row, maximum(sums[row], square))
+                add(squares)
 
             node.each_joint(do)
 
-        def potential(element: MemoryElement) -> None:
-            node, other = element.node.motion, element.other.motion
+        def constrained(constraint: MemoryConstraint) -> None:
+            number = constraint.entry(at.ON_JOINT)
 
+            def do(kind: ConstraintKind) -> None:
+                connected = constraint.connected(kind, time)
+                squares = connected.errors_squared
+                if kind.element is None:
+                    tree.of_link(at.ERRORS_ROW, number, len(JOINT_ERRORS)).put(0, *squares)
+                add(squares)
+
+            constraint.each_kind(do)
+
+        def potential(element: MemoryElement) -> None:
             def do(kind: ElementKind) -> None:
-                outer, placed = element.placed(kind)
-                x, _ = tree_nodes.between(outer, node, other, ZERO)  # no potential depends on time
+                placed, _, x, _ = element.placed(kind, ZERO)  # no potential depends on time
                 energy = kind.element.energy(placed, x)
                 if not is_zero(energy):
                     sums.put(at.ENERGY, sums[at.ENERGY] + energy)
@@ -102,6 +109,7 @@ class LoopMeasures(LoopSteps):
             element.each_kind(do)
 
         tree.for_nodes(one)
+        tree.for_constraints(constrained)
         tree.for_elements(potential)
 
     def keep_errors(self, body: LoopBody, alive: Any, now: Any) -> None:
@@ -123,4 +131,4 @@ class LoopMeasures(LoopSteps):
                     new = where(alive, maximum(old, square), old)
                 kept.put(row, where(now, new, old))
 
-        for_each(tree[at.LINKS], one)
+        for_each(tree[at.JOINTS], one)

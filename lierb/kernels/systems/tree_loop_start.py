@@ -7,18 +7,21 @@ from functools import partial
 from math import prod
 from typing import Any
 
+from lierb.kernels.functions.function import size_of
 from lierb.kernels.groups import se3
 from lierb.kernels.mechanics import subgroup, tree_nodes
 from lierb.kernels.mechanics.spatial import Pose, Rigid, twist_at
 from lierb.kernels.mechanics.tree import FREE, GROUND, HERE, Node, NodeConstants
 from lierb.kernels.mechanics.tree_nodes import MOTION, JointKind, Kind
-from lierb.kernels.numbers.arithmetic import flatten, load, where
-from lierb.kernels.numbers.vec import IDENTITY, ZERO3, ZERO6, ZERO9, Vec, sub
+from lierb.kernels.numbers.arithmetic import flatten, load, sqrt, where
+from lierb.kernels.numbers.vec import IDENTITY, ZERO3, ZERO6, ZERO9, Vec, norm, sub
 from lierb.kernels.numbers.zero import ZERO, is_zero
-from lierb.kernels.systems import tree_table as at
+from lierb.kernels.systems import tree_places as at
+from lierb.kernels.systems.connection_table import EASY, placed_shape
 from lierb.kernels.systems.layout import Columns, pose_of
 from lierb.kernels.systems.measures import JOINT_KEPT
-from lierb.kernels.systems.plan import ElementKind
+from lierb.kernels.systems.plan import ConstraintKind, ElementKind
+from lierb.kernels.systems.signals import states_of
 from lierb.kernels.systems.state import State
 from lierb.kernels.systems.tree_inputs import (
     JOINT,
@@ -32,16 +35,18 @@ from lierb.kernels.systems.tree_inputs import (
 )
 from lierb.kernels.systems.tree_memory import (
     LoopBody,
+    MemoryConnection,
+    MemoryConstraint,
     MemoryElement,
     MemoryNode,
     MemoryTree,
     TreeInMemory,
 )
-from lierb.kernels.systems.tree_table import placed_shape
 from lierb.kernels.tracing.arrays import Index
 from lierb.kernels.tracing.memory import Rows, for_each, switch
 
 NOTHING = Rigid(ZERO, ZERO3, ZERO9)  # of a massless node
+Numbers = Callable[[Index, int], Vec]  # some columns of the inputs, from one on
 WIDTHS = tuple(Columns(*fields).count for fields in (LINK, JOINT, START))
 _PAIR = (Node(GROUND, 1, "reduced", FREE, ()), Node(0, 0, "reduced", FREE, ()))
 
@@ -60,8 +65,8 @@ class LoopStart(TreeInMemory):
         return 1.0
 
     def state_of(self, numbers: Sequence[Any], body: LoopBody | None = None) -> State:
-        v, work = numbers
-        return State((), (), (v,), work if self.plan.does_work else ZERO)
+        v, work, *states = numbers
+        return State((), (), (v,), work if self.plan.does_work else ZERO, tuple(states))
 
     def _numbers(self, inputs: Any, first: Index, count: int) -> Vec:
         """Numbers of some columns of the inputs."""
@@ -106,31 +111,56 @@ class LoopStart(TreeInMemory):
         tree.for_nodes(weigh)
         girth = 0.5 * sums[1] / sums[0]
         mass = first.constants[tree_nodes.MASS]
-        return LoopBody(tree.table, tree.memory, mass, gravity, girth)
+        body = LoopBody(tree.table, tree.memory, mass, gravity, girth)
+        body = self._with_elements(tree, body, numbers)
+        if not self.plan.constraint_kinds:
+            return body
+        tree.for_constraints(lambda constraint: self._load_constraint(constraint, numbers))
+        sums.put(0, sqrt(2.0 * girth), 0.0)
+        tree.for_nodes(partial(_measure_node, sums))
+        return body._replace(length=sums[0], heavy=sums[1])
 
-    def _load_element(self, element: MemoryElement, numbers: Callable[[Index, int], Vec]) -> None:
-        tree, node = element.tree, element.node
-        first = tree[at.JOINT_COLUMN] + element.entry(at.ON_JOINT) * WIDTHS[1]
-        joint = Columns(*JOINT).parts(numbers(first, WIDTHS[1]))
-        constants, details = node.constants, node.details
-        mass, (com, inertia) = constants[tree_nodes.MASS], tree_nodes.com_and_inertia(details)
-        frame, other = (tree_nodes.frame_of(each.details) for each in (node, element.other))
+    def _with_elements(self, tree: MemoryTree, body: LoopBody, numbers: Numbers) -> LoopBody:
+        """Return the constants with those of passive elements, and the times of jumps."""
+        placed: list[Any] = []
+        frames: list[tuple[Any, ...]] = []
+        for k, kind in enumerate(self.plan.listed_kinds):
+            inner, outer, found = _placed(tree.listed(k), kind, numbers)
+            placed.append(found)
+            frames.append((inner, outer) if kind.on_joint else ())
+        passive = [e for e in self.plan.elements if e.is_passive]
+        others: tuple[Any, ...] = ((),) * (len(self.plan.elements) - len(passive))
+        jumping = zip(self.plan.listed_kinds, placed, strict=True)
+        jumps = (time for kind, own in jumping for time in kind.element.jumps(own))
+        elements = (*others, *placed[: len(passive)])
+        return body._replace(
+            elements=elements, frames=tuple(frames[: len(passive)]), jumps=tuple(jumps)
+        )
 
+    def _load_element(self, element: MemoryElement, numbers: Numbers) -> None:
         def do(kind: ElementKind) -> None:
-            own, ground, outer = frame, HERE if kind.on_ground else other, HERE
-            if kind.on_joint:
-                own, ground = pose_of(joint["body_frame"]), pose_of(joint["ground_frame"])
-                outer = se3.compose(se3.inverse(other), ground)
-            column, given = element.entry(at.COLUMN), {}
-            for name, shape in kind.element.shapes.items():
-                found = numbers(column, prod(shape))
-                given[name], column = found if shape else found[0], column + prod(shape)
-            placed = placed_on(kind.element, given, mass, inertia, com, frame, own, ground)
-            pairs = zip(flatten(placed), flatten(placed_shape(kind)), strict=True)
-            stored = (x for x, shape in pairs if not is_zero(shape))
-            element.rows.put(0, *outer[0], *outer[1], *stored)
+            inner, outer, placed = _placed(element, kind, numbers)
+            frames = (outer, inner) if kind.on_loop else (outer,)
+            element.rows.put(0, *flatten(frames), *_stored(kind, placed))
 
         element.each_kind(do)
+
+    def _load_constraint(self, constraint: MemoryConstraint, numbers: Numbers) -> None:
+        ends = constraint.node, constraint.other
+        easy = [x for each in ends for x in tree_nodes.easy_of(each.constants)]
+        joint = _joint_of(constraint, numbers)
+
+        def do(kind: ConstraintKind) -> None:
+            stored: Sequence[Any] = ()
+            if kind.element is None:
+                frames = _frames_on(constraint, joint)
+            else:
+                inner, outer, placed = _placed(constraint, kind.element, numbers)
+                frames, stored = (inner, outer), _stored(kind.element, placed)
+            constraint.rows.put(0, *flatten(frames), *joint["pitch"], *joint["length"])
+            constraint.rows.put(EASY, *easy, *stored)
+
+        constraint.each_kind(do)
 
     def started(self, body: LoopBody, inputs: Any) -> State:
         """Store the start, from poses and twists in the user's frames; return its `State`."""
@@ -198,7 +228,9 @@ class LoopStart(TreeInMemory):
             node.each_kind(do)
 
         tree.for_nodes(one)
-        return self._begun(body)
+        count = size_of(states_of(self.plan))
+        states = self._numbers(inputs, tree[at.STATES_COLUMN], count)
+        return self._begun(body)._replace(states=states)
 
     def _begun(self, body: LoopBody) -> State:
         if not self.plan.has_lane_clocks:
@@ -212,7 +244,7 @@ class LoopStart(TreeInMemory):
         """Set JOINT_KEPT to 0 where the mask, 1 or 0, is 1."""
         tree = self._tree(body)
         kept = tree.section(at.KEPT_ROW)
-        count = tree[at.LINKS] * len(JOINT_KEPT)
+        count = tree[at.JOINTS] * len(JOINT_KEPT)
         for_each(count, lambda i: kept.put(i, where(mask > 0.5, 0.0, kept[i])))
 
     def take_next(self, body: LoopBody, mask: Any) -> None:
@@ -233,14 +265,67 @@ class LoopStart(TreeInMemory):
 
         for_each(tree[at.STATE], one)
 
-    def copy_next(self, body: LoopBody, is_back: bool = False) -> None:
-        """Copy the next state, or copy it back."""
+    def copy_next(self, body: LoopBody, mask: Any, is_back: bool = False) -> None:
+        """Copy the next state, or copy it back, where the mask is 1."""
         tree = self._tree(body)
         _, after = self._states(tree)
         pair = after, tree.section(at.COPY_ROW)
         source, target = reversed(pair) if is_back else pair
-        for_each(tree[at.STATE], lambda i: target.put(i, source[i]))
+        for_each(tree[at.STATE], lambda i: target.put(i, where(mask > 0.5, source[i], target[i])))
 
     def _states(self, tree: MemoryTree) -> tuple[Rows, Rows]:
         first = tree[at.CHART_ROW]
         return tree.rows(first), tree.rows(first + tree[at.AHEAD])
+
+
+def _joint_of(connection: MemoryConnection, numbers: Numbers) -> dict[str, Vec]:
+    """Inputs of a connection's joint."""
+    first = connection.tree[at.JOINT_COLUMN] + connection.entry(at.ON_JOINT) * WIDTHS[1]
+    return Columns(*JOINT).parts(numbers(first, WIDTHS[1]))
+
+
+def _frames_on(connection: MemoryConnection, joint: dict[str, Vec]) -> tuple[Pose, Pose]:
+    """Frames of a joint on the two nodes of a connection."""
+    frames = (tree_nodes.frame_of(x.details) for x in (connection.node, connection.other))
+    own, ground = pose_of(joint["body_frame"]), pose_of(joint["ground_frame"])
+    inner, outer = (
+        se3.compose(se3.inverse(frame), place)
+        for frame, place in zip(frames, (own, ground), strict=True)
+    )
+    return inner, outer
+
+
+def _placed(
+    connection: MemoryConnection, kind: ElementKind, numbers: Numbers
+) -> tuple[Pose, Pose, Any]:
+    """Frames between which an element acts, on its nodes, and its parameters there."""
+    node = connection.node
+    frame, other = (tree_nodes.frame_of(x.details) for x in (node, connection.other))
+    own, ground, inner, outer = frame, HERE if kind.on_ground else other, HERE, HERE
+    if kind.on_joint:
+        joint = _joint_of(connection, numbers)
+        own, ground = pose_of(joint["body_frame"]), pose_of(joint["ground_frame"])
+        inner, outer = _frames_on(connection, joint)
+    column, given = connection.entry(at.COLUMN), {}
+    for name, shape in kind.element.shapes.items():
+        found = numbers(column, prod(shape))
+        given[name], column = found if shape else found[0], column + prod(shape)
+    mass, (com, inertia) = (
+        node.constants[tree_nodes.MASS], tree_nodes.com_and_inertia(node.details)
+    )  # fmt: skip
+    placed = placed_on(kind.element, given, mass, inertia, com, frame, own, ground)
+    return inner, outer, placed
+
+
+def _stored(kind: ElementKind, placed: Any) -> list[Any]:
+    """Numbers of an element's parameters that are in memory."""
+    pairs = zip(flatten(placed), flatten(placed_shape(kind)), strict=True)
+    return [x for x, shape in pairs if not is_zero(shape)]
+
+
+def _measure_node(sums: Any, node: MemoryNode) -> None:
+    """Add a node's lever arms to the mechanism's length, and the root of its mass to the other."""
+    com, _ = tree_nodes.com_and_inertia(node.details)
+    _, point = tree_nodes.hang_of(node.constants)
+    root = sqrt(node.constants[tree_nodes.MASS])
+    sums.put(0, sums[0] + norm(com) + norm(point), sums[1] + root)

@@ -2,25 +2,29 @@
 
 from __future__ import annotations
 
-from functools import partial
 from typing import Any
 
+from lierb.kernels.functions.function import size_of
+from lierb.kernels.functions.signals import Signals
 from lierb.kernels.mechanics import tree_nodes
+from lierb.kernels.mechanics.tree_connections import loads_of
 from lierb.kernels.mechanics.tree_nodes import PASSED, Kind
-from lierb.kernels.numbers.arithmetic import where
-from lierb.kernels.numbers.vec import Vec, add, dot
+from lierb.kernels.numbers.arithmetic import maximum, where
+from lierb.kernels.numbers.vec import Vec, add, dot, scale, sub
 from lierb.kernels.numbers.zero import ZERO, is_zero
-from lierb.kernels.systems import tree_table as at
+from lierb.kernels.systems import tree_places as at
 from lierb.kernels.systems.combine import NAN, summed, weighted
 from lierb.kernels.systems.plan import ElementKind
-from lierb.kernels.systems.state import Factors, Rates, Slopes, Stabilised, State, Units, Weights
-from lierb.kernels.systems.tree_loop_start import LoopStart
+from lierb.kernels.systems.signals import states_of
+from lierb.kernels.systems.state import Factors, Rates, Slopes, State, Units, Weights
+from lierb.kernels.systems.tree_loop_motion import LoopMotion, LoopMotions
 from lierb.kernels.systems.tree_memory import LoopBody, MemoryElement, MemoryNode, MemoryTree
 from lierb.kernels.tracing.arrays import Index
+from lierb.kernels.tracing.lanes import Lane
 from lierb.kernels.tracing.memory import Rows, for_each, if_not_zero
 
 
-class LoopSteps(LoopStart):
+class LoopSteps(LoopMotions):
     """Steps and error control."""
 
     def chart_gravity(self, body: LoopBody, chart: Any) -> None:
@@ -53,22 +57,55 @@ class LoopSteps(LoopStart):
 
         for_each(count, one)
         (work,) = summed((state.work,), units.other, weights, slopes.work, units)
-        return state._replace(work=work)
+        states = summed(state.states, units.other, weights, slopes.states, units)
+        return state._replace(work=work, states=states)
 
     def stage_rates(
         self, body: LoopBody, state: State, gravity: None, time: Any, stage: int = 0
     ) -> Rates:
         """Store the slopes of a stage as those of number `stage`."""
         tree = self._tree(body)
-        ahead = tree[at.FREEDOMS] * stage
-        self._run("rates", body, self._rates, ahead, time)
-        power = tree.section(at.SUMS_ROW)[at.POWER] if self.plan.does_work else ZERO
-        return Rates((), (), power)
+        body = body._replace(signals=body.signals._replace(states=state.states))
+        self._call_rates(body, tree[at.FREEDOMS] * stage, time)
+        sums = tree.section(at.SUMS_ROW)
+        power = sums[at.POWER] if self.plan.does_work else ZERO
+        singular = sums[at.SINGULAR] if self.plan.constraint_kinds else ZERO
+        of_states = self.state_rates(body, LoopMotion(self._of_passive(body)), time)
+        return Rates((), (), power, singular, of_states)
 
-    def _rates(self, tree: MemoryTree, ahead: Index, time: Any) -> None:
-        acts = bool(self.plan.element_kinds)
+    def _call_rates(self, body: LoopBody, ahead: Index, time: Any) -> None:
+        """Emit a call that stores the rates of the stage.   ahead : rows of the slopes before."""
+        zero = 0.0 * body.mass
+        signals = (zero + x for x in (*body.signals.states, *body.signals.controls))
+        more = *self._scales(body), *signals
+        self._run("rates", body, self._rates, ahead, time, *more)
 
-        def gather(node: MemoryNode) -> None:
+    def _rates(self, tree: MemoryTree, ahead: Index, time: Any, *numbers: Lane) -> None:
+        scales, rest = numbers[: self._scaled], numbers[self._scaled :]
+        count = size_of(states_of(self.plan))
+        self._load(tree, ahead, time, Signals(rest[:count], rest[count:]))
+        if scales:
+            self._constrain(tree, time, *scales)
+        self._accelerate(tree, ahead)
+
+    def _load(self, tree: MemoryTree, ahead: Index, time: Any, signals: Signals) -> None:
+        """Store motions, loads and articulated inertias."""
+        plan, acts = self.plan, bool(self.plan.element_kinds)
+        is_whole = acts or bool(plan.constraint_kinds or plan.listed_kinds)
+
+        self._call_place(tree, ahead, is_whole)
+        if plan.does_work:
+            tree.section(at.SUMS_ROW).put(at.POWER, 0.0)
+        if acts:
+            loads = tree.section(at.LOADS_ROW)
+            for_each(tree[at.NODES] * 6 + 6, lambda i: loads.put(i, 0.0))
+            tree.for_elements(lambda element: self._act(element, time, signals))
+        self._gather(tree, acts)
+
+    def _gather(self, tree: MemoryTree, acts: bool) -> None:
+        """Store articulated inertias, and ν̇ by loads alone.   acts : whether elements act."""
+
+        def one(node: MemoryNode) -> None:
             constants, here = node.constants, node.motion
             own, children = (tree.rows(node.entry(name)) for name in (at.PASSES, at.CHILDREN))
 
@@ -90,54 +127,32 @@ class LoopSteps(LoopStart):
 
             if_not_zero(sibling, add)
 
-        def accelerate(node: MemoryNode) -> None:
+        tree.for_nodes(one, backward=True)
+
+    def _accelerate(self, tree: MemoryTree, ahead: Index) -> None:
+        """Store ν̇ in the slopes."""
+
+        def one(node: MemoryNode) -> None:
             constants, above, here = node.constants, node.above, node.motion
             into = node.slopes(at.V_SLOPES, ahead)
             node.each_kind(
                 lambda kind: into.put(0, *tree_nodes.accelerate(kind, constants, above, here))
             )
 
-        self._call_place(tree, ahead, is_whole=acts)
-        if acts:
-            loads = tree.section(at.LOADS_ROW)
-            for_each(tree[at.NODES] * 6 + 6, lambda i: loads.put(i, 0.0))
-            tree.section(at.SUMS_ROW).put(at.POWER, 0.0)
-            tree.for_elements(lambda element: self._act(element, time))
-        tree.for_nodes(gather, backward=True)
-        tree.for_nodes(accelerate)
-
-    def _call_place(self, tree: MemoryTree, ahead: Index, is_whole: bool) -> None:
-        """Emit a call of the outward pass at X and V of the stage, which stores Ẋ."""
-        whole = tree.index(int(is_whole))
-        self._run("place", tree, self._place, ahead, whole)
-
-    def _place(self, tree: MemoryTree, ahead: Index, whole: Index) -> None:
-        def one(node: MemoryNode) -> None:
-            parts = (node.constants, node.chart, node.freedoms(at.X_ROW))
-            v, into = node.freedoms(at.STAGE_ROW), node.slopes(at.X_SLOPES, ahead)
-            above, here = node.above, node.motion
-
-            def do(kind: Kind) -> None:
-                into.put(0, *tree_nodes.place(kind, *parts, v, above, here))
-                place = partial(tree_nodes.place_origin, kind, node.constants, v, above, here)
-                if_not_zero(whole, place)
-
-            node.each_kind(do)
-
         tree.for_nodes(one)
 
-    def _act(self, element: MemoryElement, time: Any) -> None:
+    def _act(self, element: MemoryElement, time: Any, signals: Signals) -> None:
         """Add an element's wrench to the loads on its nodes, and its power to the sum."""
         node, other, sums = element.node, element.other, element.tree.section(at.SUMS_ROW)
         places = [each.part(at.LOADS_ROW, 6) for each in (node, other)]
 
         def do(kind: ElementKind) -> None:
-            outer, placed = element.placed(kind)
-            x, lever = tree_nodes.between(outer, node.motion, other.motion, time)
+            placed, frame, x, lever = element.placed(kind, time)
+            x = x._replace(signals=signals)
             wrench = kind.element.wrench(placed, x)
             if kind.element.does_work:
                 sums.put(at.POWER, sums[at.POWER] + kind.element.power(placed, x, wrench))
-            loads = tree_nodes.loads_of(wrench, node.motion, lever)
+            loads = loads_of(wrench, frame, lever)
             for place, more in zip(places, loads, strict=True):
                 place.put(0, *add(place[0:6], more))
 
@@ -147,6 +162,8 @@ class LoopSteps(LoopStart):
         """Make the stage the state."""
         tree = self._tree(body)
         total = tree.section(at.SUMS_ROW)
+        if self.projects:
+            total.put(at.SPEED, self._size(tree, tree[at.V_ROW], body.length))
         total.put(0, 0.0)
 
         def one(node: MemoryNode) -> None:
@@ -187,9 +204,6 @@ class LoopSteps(LoopStart):
 
         tree.for_nodes(one)
         return chart
-
-    def jumps(self, body: LoopBody) -> tuple[Any, ...]:
-        return ()
 
     # ---- error control: squares of all rotations, positions, ω and v ----
 
@@ -240,10 +254,37 @@ class LoopSteps(LoopStart):
 
         tree.for_nodes(one)
 
-    def stabilised(
-        self, body: LoopBody, before: State, state: State, time: Any, h: Any
-    ) -> Stabilised:
-        return Stabilised(state)
+    def is_rough(self, body: LoopBody, stages: int, h: Any, rough: float, throw: float) -> Any:
+        """Return whether a stage's rate, over the step, would change a velocity by far more than
+        the step does.   rough, throw : `lierb.kernels.stepping.step_size.ROUGH` and THROW.
+        """
+        first, *rest = self._tree(body).slopes(at.V_SLOPES, range(stages))
+        found = self._tree(body).section(at.SUMS_ROW)
+        found.put(0, 0.0)
+
+        def one(node: MemoryNode) -> None:
+            freedom = node.entry(at.FREEDOM)
+            rows = [slope.at(freedom) for slope in (first, *rest)]
+            ends = node.freedoms(at.V_ROW), node.next_v
+
+            def do(kind: Kind) -> None:
+                pitch = kind.pitch(node.constants)
+                start, *changes = (kind.lifted(row, pitch) for row in rows)
+                before, after = (kind.lifted(row, pitch) for row in ends)
+                for part, size in ((slice(3), 1.0), (slice(3, 6), body.girth)):
+                    speed = maximum(*(dot(v[part], v[part]) for v in (before, after)))
+                    for change in changes:
+                        by = scale(h, sub(change[part], start[part]))
+                        square = dot(by, by)
+                        if not is_zero(square):
+                            is_fast = square > rough * rough * speed
+                            moves = h * h * square > throw * throw * size
+                            found.put(0, where(is_fast & moves, 1.0, found[0]))
+
+            node.each_kind(do)
+
+        self._tree(body).for_nodes(one)
+        return found[0] > 0.5
 
     def turns_and_places(self, chart: Any) -> tuple[Vec, Vec]:
         return (), ()

@@ -8,8 +8,8 @@ from typing import Any
 from lierb.kernels.groups import se3
 from lierb.kernels.mechanics.constraints import (
     position_error_squared,
-    rate_errors_squared,
     rotation_error_squared,
+    squares_by_kind,
 )
 from lierb.kernels.mechanics.newton_euler import Motion
 from lierb.kernels.mechanics.tree import Connection, TreeConstants, TreeMotion
@@ -54,7 +54,8 @@ class TreeMeasures(TreeAccelerations):
             if number >= len(plan.joints) and not connection.rows:
                 continue
             x, ends, rows = relatives[number].x, body.ends[number], connection.rows
-            rates = rate_errors_squared(rows, x, ends, x.omega + x.point_rate)
+            off = [relatives.rate_error(number, r) for r in rows]
+            rates = squares_by_kind(rows, off)
             position = position_error_squared(rows, x, ends)
             errors.append((position, rotation_error_squared(rows, x, ends), *rates))
         energy = self._energy(body, relatives)
@@ -91,8 +92,8 @@ class TreeMeasures(TreeAccelerations):
         pairs = zip(self.plan.elements, body.elements, strict=True)
         for number, (element, placed) in enumerate(pairs, first):
             if not (element.is_passive or element.rows):
-                timeless = relatives[number].x._replace(time=ZERO)  # no potential depends on time
-                total = total + element.energy(placed, timeless.motion)
+                x = relatives[number].x._replace(time=ZERO).motion  # no potential depends on time
+                total = total + element.energy(placed, x._replace(signals=body.signals))
         return total
 
     def motions(
@@ -100,6 +101,11 @@ class TreeMeasures(TreeAccelerations):
     ) -> Callable[[int], Motion]:
         relatives, first = self.relatives(body, motion), len(self.plan.joints)
         return lambda i: relatives[first + i].x.motion._replace(signals=body.signals)
+
+    def felt(self, body: TreeConstants, motion: TreeMotion, time: Any) -> Callable[[int], Vec]:
+        moved = self.accelerate(body, motion).solved.response.moved  # of a ground that falls by −g
+        places = self.plan.connections[len(self.plan.joints) :]
+        return lambda i: moved[places[i].node]
 
     def in_user_frames(self, body: TreeConstants, numbers: list[Any], state: State) -> list[Vec]:
         motion = self.motion(body, state, ZERO)
@@ -113,10 +119,13 @@ class TreeMeasures(TreeAccelerations):
     def forces(self, body: TreeConstants, state: State, time: Any) -> tuple[Vec, list[Vec]]:
         """λ of all rows, and every joint's wrench on its body, about its frame there.
 
-        The wrench includes that of a motor that prescribes the speed of the joint.
+        The wrench includes those of motors that prescribe the joint's motion, and of gears.
         """
         acceleration = self.accelerate(body, self.motion(body, state, time))
         solution = dict(zip(self.rows, acceleration.solved.multipliers, strict=True))
+        first = len(self.plan.joints)
+        acting = enumerate(self.plan.connections[first:], first)
+        added = [(place, r) for place, each in acting for r in each.rows]
         multipliers: list[Any] = []
         wrenches = []
         for number, joint in enumerate(self.plan.joints):
@@ -130,12 +139,11 @@ class TreeMeasures(TreeAccelerations):
                 if (number, r) in solution:
                     own[r] = solution[number, r]
                     total = axpy(-own[r], r.jacobian(x, ends), total)
-            for place, acting in enumerate(self.plan.connections):
-                for r in acting.rows if acting.joint == number and place != number else ():
-                    total = axpy(-solution[place, r], r.jacobian(x, ends), total)
+            for place, r in added:
+                for at, part in acceleration.relatives.parts(place, r):
+                    if (at if at < first else self.plan.connections[at].joint) == number:
+                        total = axpy(-solution[place, r], part.jacobian(x, ends), total)
             multipliers += [own[r] for r in joint.rows]
             wrenches.append(total)
-        first = len(self.plan.joints)
-        for place, acting in enumerate(self.plan.connections[first:], first):
-            multipliers += [solution[place, r] for r in acting.rows]
+        multipliers += [solution[place, r] for place, r in added]
         return tuple(multipliers), wrenches

@@ -8,30 +8,53 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, NamedTuple
 
+from lierb.kernels.functions.function import size_of
 from lierb.kernels.functions.signals import NO_SIGNALS, Signals
 from lierb.kernels.groups import se3
 from lierb.kernels.mechanics import tree_nodes
+from lierb.kernels.mechanics.newton_euler import Motion
 from lierb.kernels.mechanics.spatial import Pose, twist_at
-from lierb.kernels.mechanics.tree import HERE, Connection
+from lierb.kernels.mechanics.tree import HERE, Connection, Ends
+from lierb.kernels.mechanics.tree_connections import (
+    FRAME_ROWS,
+    Connected,
+    Frame,
+    between,
+    frame_on,
+)
 from lierb.kernels.mechanics.tree_nodes import CONSTANTS, DETAILS, MOTION, JointKind, Kind
 from lierb.kernels.numbers.arithmetic import flatten, refilled
 from lierb.kernels.numbers.vec import Vec, add
 from lierb.kernels.numbers.zero import ZERO, is_zero
-from lierb.kernels.systems import tree_table as at
+from lierb.kernels.systems import tree_places as at
+from lierb.kernels.systems.connection_table import (
+    INNER,
+    OUTER,
+    PITCH,
+    PLACED,
+    SIZE,
+    placed_rows,
+    placed_shape,
+)
 from lierb.kernels.systems.layout import Columns, Field
-from lierb.kernels.systems.plan import ElementKind, LoopPlan
-from lierb.kernels.systems.signals import PassiveElements
-from lierb.kernels.systems.tree_table import placed_shape
+from lierb.kernels.systems.plan import ConstraintKind, ElementKind, LoopPlan
+from lierb.kernels.systems.signals import PassiveElements, states_of
 from lierb.kernels.tracing.arrays import Index
+from lierb.kernels.tracing.lanes import Lane
 from lierb.kernels.tracing.memory import Rows, for_each, if_not_zero, integer_at, procedure, switch
 
 
 class LoopBody(NamedTuple):
     """Addresses of a tree's table and of a thread's memory, with the constants of the nodes.
 
-    mass : of the first link, as an example of the number type.   girth : see `TreeConstants`.
+    mass : of the first link, as an example of the number type.
+    dropped, signals, girth : see `TreeConstants`.   length : characteristic length, m.
+    heavy : sum of the roots of all masses, √kg.   elements : parameters of passive elements, behind
+    nothing for each other element of the plan.   frames : of each passive element at a joint, on
+    its two nodes; () for others.   jumps : times at which elements may jump, s.
     """
 
     table: Any
@@ -41,6 +64,11 @@ class LoopBody(NamedTuple):
     girth: Any
     dropped: Any = ZERO
     signals: Signals = NO_SIGNALS
+    length: Any = ZERO
+    heavy: Any = ZERO
+    elements: tuple[Any, ...] = ()
+    frames: tuple[Any, ...] = ()
+    jumps: Vec = ()
 
 
 class MemoryNode:
@@ -118,14 +146,14 @@ class MemoryNode:
         switch(self.entry(at.KIND), self.tree.plan.kinds, do)
 
 
-class MemoryElement:
-    """An element at run time."""
+class MemoryConnection:
+    """An element or a constraint at run time.   first : place of its numbers in the table."""
 
-    def __init__(self, tree: MemoryTree, k: Index) -> None:
-        self.tree, self.k = tree, k
+    def __init__(self, tree: MemoryTree, first: Index) -> None:
+        self.tree, self.first = tree, first
 
     def entry(self, name: int) -> Index:
-        return integer_at(self.tree.table, self.tree[at.ELEMENT_TABLE] + self.k * at.ELEMENT + name)
+        return integer_at(self.tree.table, self.first + name)
 
     @property
     def node(self) -> MemoryNode:
@@ -140,20 +168,59 @@ class MemoryElement:
     def rows(self) -> Rows:
         return self.tree.rows(self.entry(at.ROW))
 
+    def parameters(self, kind: ElementKind, first: int) -> Any:
+        """Parameters of an element, which are in its rows from `first` on."""
+        shape, rows = placed_shape(kind), self.rows
+        numbers = iter(rows[first : first + placed_rows(kind)])
+        filled = (x if is_zero(x) else next(numbers) for x in flatten(shape))
+        return refilled(shape, filled)
+
+
+class MemoryElement(MemoryConnection):
+    """An element at run time.   k : its number."""
+
+    def __init__(self, tree: MemoryTree, k: Index) -> None:
+        super().__init__(tree, tree[at.ELEMENT_TABLE] + k * at.ELEMENT)
+        self.k = k
+
     def each_kind(self, do: Callable[[ElementKind], None]) -> None:
         """Emit the code of all kinds, of which the element's runs."""
-        if self.tree.plan.element_kinds:
-            switch(self.entry(at.ELEMENT_KIND), self.tree.plan.element_kinds, do)
+        switch(self.entry(at.CONNECTION_KIND), self.tree.plan.element_kinds, do)
 
-    def placed(self, kind: ElementKind) -> tuple[Pose, Any]:
-        """Frame on the other node, and parameters of the element."""
-        rows, count = self.rows, tree_nodes.FRAME_ROWS
-        outer = tree_nodes.hang_of(rows) if kind.on_joint else HERE
-        shape = placed_shape(kind)
-        stored = sum(not is_zero(x) for x in flatten(shape))
-        numbers = iter(rows[count : count + stored])
-        filled = (x if is_zero(x) else next(numbers) for x in flatten(shape))
-        return outer, refilled(shape, filled)
+    def placed(self, kind: ElementKind, time: Any) -> tuple[Any, Frame, Motion, Vec]:
+        """Parameters, frame on the node, motion relative to the other node, and its lever there."""
+        rows = self.rows
+        outer = frame_at(rows, 0) if kind.on_joint else HERE
+        inner = frame_at(rows, FRAME_ROWS) if kind.on_loop else HERE
+        frame = frame_on(self.node.motion, inner)
+        x, lever = between(outer, frame, self.other.motion, time)
+        return self.parameters(kind, FRAME_ROWS * (1 + kind.on_loop)), frame, x, lever
+
+
+class MemoryConstraint(MemoryConnection):
+    """A constraint at run time."""
+
+    def each_kind(self, do: Callable[[ConstraintKind], None]) -> None:
+        """Emit the code of all kinds, of which the constraint's runs."""
+        switch(self.entry(at.CONNECTION_KIND), self.tree.plan.constraint_kinds, do)
+
+    def connected(self, kind: ConstraintKind, time: Any) -> Connected:
+        """Rows at the motion in memory."""
+        rows, element = self.rows, kind.element
+        own = element is None or element.on_loop
+        inner = frame_at(rows, INNER) if own else HERE
+        outer = frame_at(rows, OUTER) if own or (element and element.on_joint) else HERE
+        placed = (self.parameters(element, PLACED),) if element else ()
+        ends = Ends(inner, outer, rows[PITCH], rows[SIZE], placed)
+        return Connected(kind.rows, ends, self.node.motion, self.other.motion, time)
+
+    def vector(self, name: int) -> Rows:
+        """Rows of the constraint's equations in a vector of all equations."""
+        return self.tree.vector(name, self.entry(at.FIRST))
+
+
+def frame_at(rows: Rows, first: int) -> Pose:
+    return rows[first : first + 9], rows[first + 9 : first + 12]
 
 
 class MemoryTree:
@@ -187,12 +254,27 @@ class MemoryTree:
         return [self.rows(self[name] + self[at.FREEDOMS] * stage) for stage in stages]
 
     def of_link(self, name: int, link: Index, width: int) -> Rows:
-        """Rows of a link in a section with `width` rows for each."""
+        """Rows of a link, or of any joint, in a section with `width` rows for each."""
         return self.rows(self[name] + link * width)
 
     def for_elements(self, do: Callable[[MemoryElement], None]) -> None:
         if self.plan.element_kinds:
             for_each(self[at.ELEMENTS], lambda k: do(MemoryElement(self, k)))
+
+    def listed(self, k: int) -> MemoryConnection:
+        """An element that the code has one by one."""
+        return MemoryConnection(self, self[at.LISTED_TABLE] + k * at.ELEMENT)
+
+    def for_constraints(self, do: Callable[[MemoryConstraint], None]) -> None:
+        if self.plan.constraint_kinds:
+            for_each(self[at.CONSTRAINTS], lambda k: do(self.constraint(k)))
+
+    def constraint(self, k: Index) -> MemoryConstraint:
+        return MemoryConstraint(self, self[at.CONSTRAINT_TABLE] + k * at.CONSTRAINT)
+
+    def vector(self, name: int, first: Index | int = 0) -> Rows:
+        """Rows of a vector of all equations, from equation `first` on."""
+        return self.rows(self[at.VECTOR_ROWS] + self[at.EQUATIONS] * name + first)
 
     def for_links(self, do: Callable[[MemoryNode], None]) -> None:
         """Run `do` for all nodes but massless ones."""
@@ -215,12 +297,21 @@ class TreeInMemory(PassiveElements):
 
     joints: tuple[Connection, ...] = ()  # their errors are in memory, not in a `Record`
     inputs = Columns(Field("state", (0,)))  # read from memory
-    state = Columns(Field("v", (1,)), Field("work"))
     invariant = ()
     is_homogeneous = False
     is_light = False
     takes_small_angle_steps = False
     rows = ()
+
+    @cached_property
+    def state(self) -> Columns:
+        states = Field("states", (size_of(states_of(self.plan)),))
+        return Columns(Field("v", (1,)), Field("work"), states)
+
+    @property
+    def projects(self) -> bool:
+        """True if each step ends with a projection onto the constraints."""
+        return self.plan.stabilisation.kind == "project" and bool(self.plan.constraint_kinds)
 
     def _tree(self, body: LoopBody) -> MemoryTree:
         return MemoryTree(self.plan, body.table, body.memory)
@@ -228,7 +319,8 @@ class TreeInMemory(PassiveElements):
     def _run(
         self, name: str, body: LoopBody | MemoryTree, do: Callable[..., None], *more: Any
     ) -> None:
-        """Call a procedure on the tree, whose code is emitted once."""
+        """Call a procedure on the tree, whose code is emitted once, for packs and integers."""
+        more = tuple(x.widened(self.plan.lanes) if isinstance(x, Lane) else x for x in more)
 
         def formula(table: Index, memory: Index, *others: Any) -> None:
             do(MemoryTree(self.plan, table, memory), *others)

@@ -1,4 +1,4 @@
-"""System of a mechanism: inputs and start. States, rates and measures are in base classes."""
+"""The system of a mechanism has inputs and start; base classes have states, rates, measures."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from lierb.kernels.mechanics.newton_euler import girth_of
 from lierb.kernels.mechanics.spatial import twist_at
 from lierb.kernels.mechanics.tree import GROUND, HERE, MASSLESS, Ends, TreeConstants, root_of
 from lierb.kernels.numbers.vec import ZERO6, Vec, sub
-from lierb.kernels.systems.layout import Columns, Field
+from lierb.kernels.systems.layout import Columns, Field, seeds_of
 from lierb.kernels.systems.signals import lane_end
 from lierb.kernels.systems.stabilisation import Projection
 from lierb.kernels.systems.state import State
@@ -33,7 +33,7 @@ SMALL_ANGLE_STAGES = 8  # largest nodes × stages; with more, compilation takes 
 
 
 class TreeFormulation(Projection, TreeMeasures):
-    """System of a mechanism: see `lierb.kernels.systems.system.System`."""
+    """This is the system of a mechanism; see `lierb.kernels.systems.system.System`."""
 
     invariant = ()
     is_homogeneous = False
@@ -41,13 +41,13 @@ class TreeFormulation(Projection, TreeMeasures):
 
     @property
     def takes_small_angle_steps(self) -> bool:
-        """True for small mechanisms on absolute c-spaces.
+        """Return True for small mechanisms on absolute c-spaces.
 
         With two links on SE(3) such steps save a sixth of the time; on reduced coordinates they
         save nothing. The second step adds half to the compile time.
         """
         plan = self.plan
-        is_small = len(plan.tree) * len(plan.method.stages) <= SMALL_ANGLE_STAGES
+        is_small = len(plan.tree) * plan.method.length <= SMALL_ANGLE_STAGES
         is_plain = not self.rows and plan.stabilisation.kind == "none"
         return is_small and is_plain and not any(node.is_reduced for node in plan.tree)
 
@@ -57,6 +57,7 @@ class TreeFormulation(Projection, TreeMeasures):
         columns = inputs_of(plan.links, plan.loops, plan.elements)
         return Columns(
             *columns.fields,
+            *seeds_of(columns.fields, plan.moving),
             Field("state", (self.state.count,)),
             Field("lane", (lane_end(plan).count,)),
         )

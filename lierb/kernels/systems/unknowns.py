@@ -1,4 +1,4 @@
-"""The independent numbers of a state in the chart of a step, and the Jacobian of their rates."""
+"""A state has independent numbers in the chart of a step, with the Jacobian of their rates."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from lierb.kernels.systems.system import AnySystem
 
 
 class Jacobian(NamedTuple):
-    """Derivatives of the rates: ∂ẏᵢ/∂yⱼ row by row, and ∂ẏᵢ/∂t."""
+    """The Jacobian has the derivatives of the rates: ∂ẏᵢ/∂yⱼ row by row, and ∂ẏᵢ/∂t."""
 
     rows: list[list[Any]]
     late: Vec
 
 
 class Unknowns:
-    """Independent numbers y of a state: X, then V or μ, extra states and work.
+    """The unknowns are a state's independent numbers y: X, then V or μ, extra states and work.
 
     Numbers that are structurally zero, or follow from others by a joint's pitch, are left out, and
     so are components of V that rows keep at zero.
@@ -35,7 +35,7 @@ class Unknowns:
         return len(self.places) + len(self.speeds) + len(self.state.states) + self.works
 
     def of(self, rates: Rates) -> Vec:
-        """ẏ of the rates of a state."""
+        """Return ẏ of the rates of a state."""
         return (
             *(rates.x[i] for i in self.places),
             *(rates.v_or_mu[i] for i in self.speeds),
@@ -44,7 +44,7 @@ class Unknowns:
         )
 
     def rates(self, body: Any, y: Vec) -> Rates:
-        """Rates of a state with these ẏ."""
+        """Return the rates of a state with these ẏ."""
         ahead, behind = len(self.places), len(self.places) + len(self.speeds)
         last = behind + len(self.state.states)
         x, v = [[ZERO] * len(self.state.v_or_mu) for _ in range(2)]
@@ -57,7 +57,7 @@ class Unknowns:
         return Rates(tuple(x), speeds, power, states=y[behind:last])
 
     def jacobian(self, body: Any, gravity: Any, time: Any) -> tuple[Rates, Jacobian]:
-        """Rates at the state, with their values alone, and their derivatives.
+        """Return the rates at the state, with their values alone, and their derivatives.
 
         Rates do not depend on the work.   gravity, time : as for `System.stage_rates`.
         """

@@ -1,1 +1,1 @@
-"""Tracing of formulas: lane packs, arrays, integers and calls that emit LLVM instructions."""
+"""Trace formulas on lane packs, arrays, integers and calls that emit LLVM instructions."""

@@ -15,13 +15,16 @@ LINE = 8  # doubles in a cache line
 
 
 class Index(Traced):
-    """A traced integer (intp), the index of an array's element."""
+    """A traced integer (intp) is the index of an array's element."""
 
     __slots__ = ()
 
     def __add__(self, other: int | Index) -> Index:
         added = other.value if isinstance(other, Index) else self.value.type(other)
         return Index(self.trace, self.builder.add(self.value, added))
+
+    def __sub__(self, other: Index) -> Index:
+        return Index(self.trace, self.builder.sub(self.value, other.value))
 
     def __mul__(self, other: int | Index) -> Index:
         factor = other.value if isinstance(other, Index) else self.value.type(other)
@@ -30,9 +33,22 @@ class Index(Traced):
     def real(self) -> Lane:
         return Lane(self.trace, self.builder.sitofp(self.value, DOUBLE))
 
+    def or_more(self, other: Index) -> Index:
+        """Return the larger of two integers."""
+        is_more = self.builder.icmp_signed(">", self.value, other.value)
+        return Index(self.trace, self.builder.select(is_more, self.value, other.value))
+
+    def or_less(self, other: Index) -> Index:
+        """Return the smaller of two integers."""
+        is_less = self.builder.icmp_signed("<", self.value, other.value)
+        return Index(self.trace, self.builder.select(is_less, self.value, other.value))
+
 
 class ArrayRef(Traced):
-    """A traced C-contiguous array: of float64, read and written a pack at a time, or of int64."""
+    """A traced array is C-contiguous.
+
+    It is of float64, read and written a pack at a time, or of int64.
+    """
 
     __slots__ = ("data", "index_type", "shape")
 

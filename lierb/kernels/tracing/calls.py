@@ -62,7 +62,7 @@ def call_compiled(
 
 
 class _Lanes:
-    """Emitter of the code that calls a compiled function lane by lane.
+    """Emit the code that calls a compiled function lane by lane.
 
     inputs, count : numbers of inputs and results of the function.   width : number of lanes.
     """
@@ -167,7 +167,7 @@ CLEAR, SUPPRESSED, COLLECTED, STOPPED = 0, 1, 2, 3  # marks; larger ones are add
 
 
 class Marks:
-    """Exception flags of a block, one number for each lane in the emitted function's memory.
+    """A block has an exception flag for each lane, a number in the emitted function's memory.
 
     CLEAR: users' functions are called. SUPPRESSED: they are not called, as for a failed body.
     COLLECTED: the exception was collected. A function that raises sets the flag to the address of
@@ -197,7 +197,7 @@ class Marks:
 
     @property
     def whole(self) -> ir.Value:
-        """Pointer to all marks, as a pack."""
+        """Return the pointer to all marks, as a pack."""
         pack = ir.VectorType(DOUBLE, self.lanes) if self.lanes > 1 else DOUBLE
         return self.builder.bitcast(self.memory, pack.as_pointer())
 
@@ -228,7 +228,7 @@ class Marks:
 
 
 class _Python:
-    """Mark and exceptions with the JIT off, which integrates one body at a time."""
+    """Hold the mark and exceptions with the JIT off, which integrates one body at a time."""
 
     mark = float(CLEAR)
     exceptions: ClassVar[dict[int, Exception]] = {}

@@ -1,4 +1,4 @@
-"""CPU features that code is compiled for, and the number of lanes that follows from them."""
+"""Determine the CPU features that code is compiled for, and hence the number of lanes."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from numba import config
 
 
 def _host_features() -> frozenset[str]:
-    """CPU features that Numba compiles for, its own override included."""
+    """Return the CPU features that Numba compiles for, its own override included."""
     if config.CPU_FEATURES is not None:
         return frozenset(f[1:] for f in config.CPU_FEATURES.split(",") if f.startswith("+"))
     if config.CPU_NAME == "generic":
@@ -18,7 +18,7 @@ def _host_features() -> frozenset[str]:
 
 
 def _default_lanes() -> int:
-    """Number of doubles in a vector register: 8 with AVX-512, 4 with AVX, 2 otherwise."""
+    """Return a vector register's number of doubles: 8 with AVX-512, 4 with AVX, 2 otherwise."""
     override = os.environ.get("LIERB_LANES")
     if override is not None:
         if override not in {"1", "2", "4", "8"}:

@@ -1,4 +1,4 @@
-"""Operations on one lane at a time: calls of the C library, and table look-up."""
+"""Calls of the C library and table look-up operate on one lane at a time."""
 
 from __future__ import annotations
 

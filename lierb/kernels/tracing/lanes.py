@@ -1,4 +1,4 @@
-"""Lane packs: numbers of L bodies side by side in SIMD registers, as one number of a formula.
+"""A lane pack has L bodies' numbers side by side in SIMD registers, as one number of a formula.
 
 A `Lane` represents an LLVM value, `<L x double>` or `double`, while a formula is traced: each
 operator emits an instruction and returns its result. No instruction has a fast-math flag: with
@@ -45,7 +45,7 @@ def constant_of(like: ir.Type, value: float) -> ir.Constant:
 
 @cache
 def _constant_pack(lanes: int, digits: str) -> ir.Constant:
-    """Constant pack of a number in hexadecimal: as cache keys, 0.0 and −0.0 are equal."""
+    """Return a constant pack of a number in hexadecimal: as cache keys, 0.0 and −0.0 are equal."""
     value = float.fromhex(digits)
     if lanes == 1:
         return ir.Constant(DOUBLE, value)
@@ -53,7 +53,7 @@ def _constant_pack(lanes: int, digits: str) -> ir.Constant:
 
 
 class Trace:
-    """State that all numbers of one trace share.
+    """All numbers of one trace share a state.
 
     builder : builder of the emitted LLVM code.   target : Numba's target context; None for a trace
     that is thrown away.   rounds_twice : True if `fma` rounds as in NumPy.   assumed : masks that
@@ -169,7 +169,7 @@ def trace_of_any(operands: Sequence[Any]) -> Trace:
 
 
 class Traced:
-    """A value of the trace, backed by an LLVM value."""
+    """A traced value is backed by an LLVM value."""
 
     __slots__ = ("trace", "value")
     rank = 1
@@ -187,7 +187,10 @@ class Traced:
 
 
 class Lane(Traced):
-    """A traced double or pack of doubles. Comparisons are ordered: false if an operand is NaN."""
+    """A lane pack is a traced double or pack of doubles.
+
+    Comparisons are ordered: false if an operand is NaN.
+    """
 
     __slots__ = ()
     __array_ufunc__ = None
@@ -278,7 +281,7 @@ class Lane(Traced):
 
 
 class Mask(Traced):
-    """A traced truth value per lane."""
+    """A mask is a traced truth value per lane."""
 
     __slots__ = ()
 
@@ -332,7 +335,7 @@ class Mask(Traced):
 
 
 class Predicate(Traced):
-    """A traced truth value of the whole pack, for a branch."""
+    """A predicate is a traced truth value of the whole pack, for a branch."""
 
     __slots__ = ()
 

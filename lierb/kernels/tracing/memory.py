@@ -7,6 +7,7 @@ known at run time only, the numbers are in memory, and the formula of one part r
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from copy import copy
 from typing import Any
 
 from llvmlite import ir
@@ -20,7 +21,7 @@ LINE = 64  # bytes; rows start at a multiple of it or, if they are shorter, of t
 
 
 class Rows:
-    """Rows of memory, each a pack of `lanes` numbers.
+    """The memory has rows, each a pack of `lanes` numbers.
 
     rows[i] is row i, and rows[i:j] a tuple of rows; both ends are constants of the trace.
     """
@@ -36,12 +37,23 @@ class Rows:
         offset = row.value if isinstance(row, Index) else ir.IntType(64)(row)
         return self.trace.builder.gep(start, [offset])
 
+    def at(self, first: Index) -> Rows:
+        """Rows from `first` on."""
+        rows = copy(self)
+        rows.start = self._at(self.start, first)
+        return rows
+
     def __getitem__(self, row: Any) -> Any:
         if isinstance(row, slice):
             return tuple(self[i] for i in range(row.start, row.stop))
         return Lane(
             self.trace, self.trace.builder.load(self._at(self.start, row), align=self.align)
         )
+
+    @property
+    def zero(self) -> Lane:
+        """A pack of zeros."""
+        return Lane(self.trace, constant_of(self.pack, 0.0))
 
     def put(self, row: Index | int, *numbers: Any) -> None:
         """Store numbers in successive rows."""
@@ -65,6 +77,31 @@ def for_each(count: Index, do: Callable[[Index], None], backward: bool = False) 
     with cgutils.for_range(count.builder, count.value) as loop:
         i = Index(count.trace, loop.index)
         do(count + i * -1 + -1 if backward else i)
+
+
+def accumulated(
+    count: Index,
+    start: Sequence[Lane],
+    step: Callable[[Index, tuple[Lane, ...]], Sequence[Lane]],
+    backward: bool = False,
+) -> tuple[Lane, ...]:
+    """Emit a loop that replaces some packs by step(i, packs), for i = 0 … count − 1.
+
+    The packs stay in registers.
+    """
+    builder = count.builder
+    slots = [cgutils.alloca_once(builder, x.value.type) for x in start]
+
+    def keep(numbers: Sequence[Lane]) -> None:
+        for slot, x in zip(slots, numbers, strict=True):
+            builder.store(x.value, slot)
+
+    def kept() -> tuple[Lane, ...]:
+        return tuple(Lane(count.trace, builder.load(slot)) for slot in slots)
+
+    keep(start)
+    for_each(count, lambda i: keep(step(i, kept())), backward)
+    return kept()
 
 
 def switch(kind: Index, cases: Sequence[Any], do: Callable[[Any], None]) -> None:

@@ -1,4 +1,4 @@
-"""Tracing of formulas in @njit code: Numba compiles their instructions, not their Python.
+"""Trace formulas in @njit code: Numba compiles their instructions, not their Python.
 
 A formula is plain Python on numbers. `kernel(formula)` lets @njit code call it: the formula runs on
 traced numbers (`lanes.Lane`), once for the type of its result and once for its instructions. Hence
@@ -28,7 +28,7 @@ ITEMS = (types.float64, types.int64)  # of arrays that formulas take
 
 
 class LaneType(types.Type):
-    """Numba type of a pack of `lanes` doubles."""
+    """This is the Numba type of a pack of `lanes` doubles."""
 
     def __init__(self, lanes: int) -> None:
         self.lanes = lanes
@@ -42,7 +42,7 @@ class _LaneModel(models.PrimitiveModel):
 
 
 class ConstantType(types.Type):
-    """Numba type of a number that is constant in the trace, such as `ZERO`; it has no data."""
+    """The Numba type of a number that is constant in the trace, such as `ZERO`, has no data."""
 
     def __init__(self, number: Any) -> None:
         self.number = number
@@ -105,7 +105,7 @@ def _as_numbers(operands: Any, result: Any) -> Any:
 
 
 def _result_type(formula: Callable[..., Any], args: tuple[types.Type, ...]) -> types.Type:
-    """Type of formula(*args), determined by a trace that is thrown away."""
+    """Return the type of formula(*args), determined by a trace that is thrown away."""
     return _type_of_trace(_traced_alone(formula, args)[0])
 
 
@@ -153,7 +153,7 @@ def _to_trace(context: Any, trace: Trace, ty: types.Type, value: Any) -> Any:
 
 
 def _members(result: Any) -> tuple[Any, ...]:
-    """Members of a tuple or a dual number, which compiled code represents as a named tuple."""
+    """Return the members of a tuple or a dual number, which is a named tuple in compiled code."""
     return result if isinstance(result, tuple) else (result.value, result.parts)
 
 

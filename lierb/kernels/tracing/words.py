@@ -1,4 +1,4 @@
-"""Words: integers of up to 64 bits in formulas, with *, +, ^, &, >>, and the bits of doubles.
+"""Words are integers of up to 64 bits in formulas, with *, +, ^, &, >>, and bits of doubles.
 
 Words are Python integers for floats, NumPy arrays for arrays, and packs for lane packs.
 Formulas must keep products below 2⁶⁴; the operations do not check this.
@@ -83,7 +83,7 @@ def _emits(instruction: str) -> Callable[[Words, Any], Words]:
 
 
 class Words:
-    """A traced word of each lane."""
+    """A pack of words has a traced word of each lane."""
 
     __slots__ = ("trace", "value")
     __array_ufunc__ = None

@@ -1,4 +1,4 @@
-"""Homogeneous solids as bodies: mass and inertia from dimensions, or from a mesh.
+"""Homogeneous solids are bodies with mass and inertia from dimensions, or from a mesh.
 
 The body frame is at the centre of mass, with axes along those of the solid; for a mesh it is the
 frame of the mesh. Each function takes either `mass` or `density`. Arguments may be batched.

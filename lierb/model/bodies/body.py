@@ -1,4 +1,4 @@
-"""Rigid bodies: mass, centre of mass and inertia."""
+"""A rigid body has mass, centre of mass and inertia."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lierb.errors import InertiaError, body_label, two_readings
+from lierb.errors import InertiaError, body_label, require_name, two_readings
 from lierb.kernels.mechanics.newton_euler import unit_inertia
 from lierb.support.arrays import (
     Array,
@@ -22,22 +22,27 @@ from lierb.support.representations import Lines, Represented, quantity
 
 SYMMETRY_TOLERANCE = 1e-12  # relative to the largest entry
 TRIANGLE_TOLERANCE = 1e-12  # relative to the largest principal moment
+ROUNDING = 1e-15  # of m c² in an inertia about the origin, relative
+POINTS = ("origin", "com")  # points to which an inertia may refer
 MOMENTS_OF_EACH = "inertia[:, :, None] * np.eye(3)"
 
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
 class Body(Represented):
-    """A rigid body, or a batch of them.
+    """A `Body` is one rigid body, or a batch of them.
 
     Parameters
     ----------
     mass : float or array_like, shape (n,)
         Mass, kg.
     inertia : array_like, shape (3,), (n, 3), (3, 3) or (n, 3, 3)
-        Principal moments or inertia matrices, kg m², about the body frame's origin and in its axes.
+        Principal moments or inertia matrices, kg m², in the axes of the body frame.
         A shape (3, 3) is one matrix, and is refused if mass or com are those of three bodies.
     com : array_like, shape (3,) or (n, 3), optional
         Centre of mass in the body frame, m. Default: its origin.
+    about : {"origin", "com"}, optional
+        Point to which `inertia` refers: the origin of the body frame, or the centre of mass, as in
+        data sheets, URDF and MJCF. The attribute `inertia` is about the origin in both cases.
 
     Raises
     ------
@@ -45,19 +50,32 @@ class Body(Represented):
         No rigid body can have this mass or inertia.
     ArgumentError
         An array has a wrong shape.
+    UnknownNameError
+        `about` is none of the two.
 
     Examples
     --------
     >>> import lierb
     >>> lierb.Body(mass=6.075, inertia=(0.0126563, 0.0468281, 0.0569531)).inertia.shape
     (3, 3)
+    >>> arm = lierb.Body(2.0, (0.1, 0.1, 0.02), com=(0.0, 0.0, 0.5), about="com")
+    >>> arm.inertia.diagonal().tolist()  # Steiner: 0.1 + 2 · 0.5²
+    [0.6, 0.6, 0.02]
     """
 
     mass: Array
     inertia: Array
     com: Array
 
-    def __init__(self, mass: ArrayLike, inertia: ArrayLike, com: ArrayLike | None = None) -> None:
+    def __init__(
+        self,
+        mass: ArrayLike,
+        inertia: ArrayLike,
+        com: ArrayLike | None = None,
+        *,
+        about: str = "origin",
+    ) -> None:
+        require_name("about", about, POINTS)
         masses = as_numbers("mass", mass, ())
         moments = as_numbers("inertia", inertia, (3,), (3, 3))
         centre = as_numbers("com", (0.0, 0.0, 0.0) if com is None else com, (3,))
@@ -71,7 +89,9 @@ class Body(Represented):
         batch_size(mass=masses, inertia=(moments, 2), com=(centre, 1))
         _check_mass(masses)
         moments = _checked_symmetric(moments)
-        _check_physical(_about_com(masses, moments, centre))
+        if about == "com":
+            moments = _moved(masses, moments, centre, 1.0)
+        _check_physical(masses, moments, centre, about)
         _check_gyration(masses, moments)
         moments.setflags(write=False)
         for name, value in (("mass", masses), ("inertia", moments), ("com", centre)):
@@ -124,37 +144,50 @@ def _checked_symmetric(moments: Array) -> Array:
 
 
 @np.errstate(all="ignore")
-def _about_com(masses: Array, moments: Array, centre: Array) -> Array:
-    """Inertia about the centre of mass; raises InertiaError if it overflows."""
+def _moved(masses: Array, moments: Array, centre: Array, sign: float) -> Array:
+    """Inertia about the origin, sign 1, or the centre of mass, −1; InertiaError if it overflows."""
     shift = unit_inertia(components(centre))
     parts = zip(components(moments, 2), shift, strict=True)
-    about_com = assembled(tuple(i - masses * s for i, s in parts), 3, 3)
-    flat = about_com.reshape(-1, 9)
+    moved = assembled(tuple(i + sign * (masses * s) for i, s in parts), 3, 3)
+    flat = moved.reshape(-1, 9)
     for body in np.flatnonzero(~np.isfinite(flat).all(axis=1))[:1]:
         raise InertiaError(
-            f"{body_label('inertia', int(body), len(flat))} has no inertia about the centre of "
-            "mass: mass times the square of com is beyond all numbers; give smaller numbers, or "
-            "choose larger units"
+            f"{body_label('inertia', int(body), len(flat))} has no inertia about the "
+            f"{'origin' if sign > 0.0 else 'centre of mass'}: mass times the square of com is "
+            "beyond all numbers; give smaller numbers, or choose larger units"
         )
-    return about_com
+    return moved
 
 
-def _check_physical(about_com: Array) -> None:
-    """Raise InertiaError unless the inertia is positive definite with moments A + B ≥ C."""
+@np.errstate(over="ignore")
+def _check_physical(masses: Array, moments: Array, centre: Array, about: str) -> None:
+    """Raise InertiaError unless a body with this inertia about the origin can exist."""
+    about_com = _moved(masses, moments, centre, -1.0)
+    rounding = ROUNDING * (masses * np.sum(centre * centre, axis=-1))
+    if objection := _objection(about_com, rounding):
+        hint = ""
+        if about == "origin" and np.any(centre != 0.0) and not _objection(moments, 0.0):
+            hint = '; for an inertia about the centre of mass, as in data sheets, give about="com"'
+        raise InertiaError(objection + hint)
+
+
+def _objection(about_com: Array, rounding: Array | float) -> str:
+    """Message unless the inertia is positive definite with moments A + B ≥ C, or ""."""
     flat = about_com.reshape(-1, 3, 3)
     principal = np.linalg.eigvalsh(flat)
     for body in np.flatnonzero(principal[:, 0] <= 0.0)[:1]:
-        raise InertiaError(
+        return (
             f"{body_label('inertia', int(body), len(flat))} is not positive definite: its "
             f"principal moments about the centre of mass are {_listed(principal[body])} kg m²"
         )
     excess = principal[:, 2] - principal[:, 0] - principal[:, 1]
-    for body in np.flatnonzero(excess > TRIANGLE_TOLERANCE * principal[:, 2])[:1]:
-        raise InertiaError(
+    for body in np.flatnonzero(excess > TRIANGLE_TOLERANCE * principal[:, 2] + rounding)[:1]:
+        return (
             f"{body_label('inertia', int(body), len(flat))} belongs to no rigid body: the largest "
             f"of the principal moments {_listed(principal[body])} kg m² about the centre of mass "
             "exceeds the sum of the two others"
         )
+    return ""
 
 
 def _listed(numbers: Array) -> str:

@@ -1,4 +1,4 @@
-"""Functions that make bodies of homogeneous solids."""
+"""These functions make bodies of homogeneous solids."""
 
 from __future__ import annotations
 

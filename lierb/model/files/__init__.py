@@ -1,1 +1,1 @@
-"""Readers of MJCF and URDF files."""
+"""Read MJCF and URDF files."""

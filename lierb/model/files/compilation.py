@@ -1,4 +1,4 @@
-"""Compilation of MJCF and URDF files by MuJoCo."""
+"""Compile MJCF and URDF files by MuJoCo."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def compiled(path: Any, language: str) -> tuple[MjModel, list[str]]:
 
 
 def _elements_at_line(path: Any, message: str) -> str:
-    """Names of the elements on a line of the file, if MuJoCo's message has a line and no name.
+    """Name the elements on a line of the file, if MuJoCo's message has a line and no name.
 
     An element without a name is described by the element that encloses it.
     """
@@ -90,7 +90,7 @@ def _elements_at_line(path: Any, message: str) -> str:
 
 
 def _bodies_with_mesh(spec: MjSpec | None, message: str) -> str:
-    """Names of the bodies whose mesh file occurs in MuJoCo's message."""
+    """Name the bodies whose mesh file occurs in MuJoCo's message."""
     if spec is None:
         return ""
     names = {mesh.name for mesh in spec.meshes if mesh.file and mesh.file in message}

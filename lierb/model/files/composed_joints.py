@@ -1,4 +1,4 @@
-"""Composition of the simple joints of a body into one joint of the catalogue.
+"""Compose the simple joints of a body into one joint of the catalogue.
 
 Files describe a joint with several degrees of freedom as a sequence of hinges, slides and balls,
 C = C₀ exp(S₁q₁) exp(S₂q₂) …, all in the axes of the body at q = 0. lierb has no massless bodies
@@ -121,7 +121,7 @@ def _is_right(a: Array, b: Array) -> bool:
 
 
 def _meeting_point(hinges: list[SimpleJoint]) -> Array | None:
-    """Point x common to all axes, Σ (I − aaᵀ)(x − p) = 0; None if they do not meet."""
+    """Return the point x common to all axes, Σ (I − aaᵀ)(x − p) = 0; None if they do not meet."""
     across = [np.eye(3) - np.outer(x.axis, x.axis) for x in hinges]
     right = sum(A @ x.point for A, x in zip(across, hinges, strict=True))
     point = np.asarray(np.linalg.solve(np.sum(across, axis=0), right))
@@ -136,7 +136,7 @@ def _at(point: Array) -> Array:
 
 
 def _along(axis: Array, point: Array, first: Array | None = None) -> Array:
-    """Frame with e₃ along the axis and, if given, e₁ along `first`."""
+    """Return the frame with e₃ along the axis and, if given, e₁ along `first`."""
     options = {} if first is None else {"slot": first}
     kind = joints.revolute if first is None else joints.pin_in_slot
     return kind(axis=axis, body_point=point, **options).body_frame

@@ -1,4 +1,4 @@
-"""Compilation of a model with inertials that MuJoCo refuses.
+"""Compile a model with inertials that MuJoCo refuses.
 
 MuJoCo checks each body without the bodies welded to it, and refuses a moving body below mjMINVAL
 (1e-15 kg or kg mÂ²). Such inertials are removed from the specification and inserted into the
@@ -23,7 +23,10 @@ TRIANGLE = 1e-6  # well above the rounding by which flat bodies violate A + B â‰
 
 
 class SetAside(NamedTuple):
-    """Inertial of a file. inertia : (3, 3), about the centre of mass, in the inertial frame."""
+    """An inertial of a file is set aside.
+
+    inertia : (3, 3), about the centre of mass, in the inertial frame.
+    """
 
     body: MjsBody
     mass: float

@@ -1,4 +1,4 @@
-"""Springs, dampers and stops of the joints of a compiled MuJoCo model."""
+"""Read the springs, dampers and stops of the joints of a compiled MuJoCo model."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ WITH_FORCES = {  # kind of MuJoCo's joint: lierb's joints about or along whose a
 
 @dataclass(frozen=True)
 class JointForces:
-    """Forces in joint j of the MuJoCo model, which is part of the joint of a link."""
+    """The forces act in joint j of the MuJoCo model, which is part of the joint of a link."""
 
     model: MjModel
     j: int
@@ -42,18 +42,18 @@ class JointForces:
 
     @property
     def has_force(self) -> bool:
-        """True if a force of `lierb.forces` can act about or along the axis."""
+        """Return whether a force of `lierb.forces` can act about or along the axis."""
         return self.joint.name in WITH_FORCES.get(self.kind, ())
 
     @property
     def spring(self) -> tuple[float, float]:
-        """Stiffness and damping, N m/rad and N m s/rad or N/m and N s/m."""
+        """Return stiffness and damping, N m/rad and N m s/rad or N/m and N s/m."""
         damping = self.model.dof_damping[self.model.jnt_dofadr[self.j]]
         return float(self.model.jnt_stiffness[self.j]), float(damping)
 
     @property
     def is_polynomial(self) -> bool:
-        """True if stiffness or damping is a polynomial with more than one coefficient."""
+        """Return whether stiffness or damping is a polynomial with more than one coefficient."""
         dof = self.model.jnt_dofadr[self.j]
         return any(
             np.any(getattr(self.model, name)[at])
@@ -63,18 +63,18 @@ class JointForces:
 
     @property
     def _slack(self) -> float:
-        """Coordinate at which the spring is slack, relative to qpos0."""
+        """Return the coordinate at which the spring is slack, relative to qpos0."""
         return self._on_axis(self.model.qpos_spring[self.model.jnt_qposadr[self.j]])
 
     @property
     def _is_wound(self) -> bool:
-        """True if the spring is slack at more than half a turn, which a pose cannot represent."""
+        """Return whether the spring is slack beyond half a turn, which a pose cannot represent."""
         stiffness, _ = self.spring
         return self.kind == "hinge" and stiffness > 0.0 and abs(self._slack) > np.pi
 
     @property
     def range(self) -> tuple[float, float] | None:
-        """Limits relative to qpos0 along the axis of the catalogue's joint.
+        """Return the limits relative to qpos0 along the axis of the catalogue's joint.
 
         If the joint has no such coordinate, they are those of the file.
         """
@@ -84,19 +84,19 @@ class JointForces:
         if not self.has_force:
             return float(least), float(most)
         ends = self._on_axis(least), self._on_axis(most)
-        return ends if self._direction > 0.0 else ends[::-1]
+        return ends if self.direction > 0.0 else ends[::-1]
 
     @property
-    def _direction(self) -> float:
+    def direction(self) -> float:
         """−1 if the axis of the file is opposite to that of the catalogue's joint, else 1."""
         return float(np.sign(self.model.jnt_axis[self.j] @ self.joint.body_frame[:3, 2]))
 
     def _on_axis(self, q: float) -> float:
-        return self._direction * float(q - self.model.qpos0[self.model.jnt_qposadr[self.j]])
+        return self.direction * float(q - self.model.qpos0[self.model.jnt_qposadr[self.j]])
 
     @property
     def _stops(self) -> tuple[float, float] | None:
-        """Limits at which stops act, if the shorter way back to them is that of the file."""
+        """Return the limits at which stops act, if the shorter way to them is that of the file."""
         if self.range is None or self.limit_stiffness is None or not self.has_force:
             return None
         lower, upper = self.range
@@ -121,7 +121,7 @@ class JointForces:
             yield stop(lower=lower, upper=upper, stiffness=self.limit_stiffness)  # type: ignore[arg-type]
 
     def left_out(self) -> Iterator[str]:
-        """Messages on properties of the joint that the mechanism lacks."""
+        """Yield messages on properties of the joint that the mechanism lacks."""
         model, label, at = self.model, self.label, self.model.jnt_dofadr[self.j]
         if any(self.spring) and not self.has_force:
             yield f"{label}: stiffness and damping of a {self.kind} joint"

@@ -1,4 +1,4 @@
-"""Loops of a mechanism from the equality constraints of a compiled MuJoCo model."""
+"""Make loops and couplings from the equality constraints of a compiled MuJoCo model."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from lierb.model import joints
+from lierb.model.files.couplings import add_coupling
 from lierb.model.files.parts import GROUND, Parts, Placed
 from lierb.model.files.welded_bodies import pose_of
 from lierb.support.arrays import Array
@@ -16,19 +17,26 @@ if TYPE_CHECKING:
 
 
 def add_loops(model: MjModel, placed: list[Placed], parts: Parts) -> None:
-    """Add a loop for each equality/connect and weld. placed : by index of the body."""
+    """Add a loop for each equality/connect and weld, and a coupling for each equality/joint.
+
+    placed : by index of the body.
+    """
     import mujoco
 
     makers = {int(mujoco.mjtEq.mjEQ_CONNECT): _connect, int(mujoco.mjtEq.mjEQ_WELD): _weld}
     for k in range(model.neq):
         label = model.equality(k).name or f"equality {k}"
         maker = makers.get(int(model.eq_type[k]))
-        if maker is None:
+        couples = int(model.eq_type[k]) == int(mujoco.mjtEq.mjEQ_JOINT)
+        if maker is None and not couples:
             kind = mujoco.mjtEq(model.eq_type[k]).name.removeprefix("mjEQ_").lower()
             parts.left_out.append(f"{label}: equality/{kind}")
             continue
         if not model.eq_active0[k]:
             parts.left_out.append(f"{label}: an equality that is not active")
+            continue
+        if maker is None:
+            add_coupling(model, k, label, placed, parts)
             continue
         is_by_sites = int(model.eq_objtype[k]) == int(mujoco.mjtObj.mjOBJ_SITE)
         ends = [

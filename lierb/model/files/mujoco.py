@@ -1,4 +1,4 @@
-"""Reader of mechanisms in MJCF and URDF files, both compiled by MuJoCo.
+"""Read mechanisms in MJCF and URDF files, both compiled by MuJoCo.
 
 MuJoCo's compiler resolves defaults, includes, orientation conventions and inertias of geoms, and
 reports errors in files. Simulation of the mechanism does not use MuJoCo.
@@ -95,7 +95,7 @@ def _simple_joint(model: MjModel, j: int) -> SimpleJoint:
 
 
 def _lacking(model: MjModel) -> Iterator[str]:
-    """Elements of the file that the mechanism lacks, with their counts."""
+    """Yield the elements of the file that the mechanism lacks, with their counts."""
     import mujoco
 
     collides = (model.geom_contype != 0) | (model.geom_conaffinity != 0)

@@ -15,7 +15,10 @@ GROUND = "ground"
 
 
 class Placed(NamedTuple):
-    """Body of the file as part of a link. pose : (4, 4), in the link's body frame."""
+    """A body of the file is placed as part of a link.
+
+    pose : (4, 4), in the link's body frame.
+    """
 
     link: str
     pose: Array

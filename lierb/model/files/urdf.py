@@ -1,4 +1,4 @@
-"""Reader of URDF that builds a specification for MuJoCo's compiler.
+"""Read URDF; build a specification for MuJoCo's compiler.
 
 MuJoCo's reader of URDF ignores limits that lock a joint, treats a negative mass as zero, and names
 neither link nor joint in most of its errors.
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
 Element = ElementTree.Element
 TYPES = ("revolute", "continuous", "prismatic", "fixed", "floating", "planar", "spherical")
+SCALAR = ("revolute", "continuous", "prismatic")  # joints with one coordinate
 SHORT = 1e-10  # least length of an axis, as in MuJoCo
 MOMENTS = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")  # in the order of MuJoCo's fullinertia
 READ = {  # elements that are read, or that do not affect the motion
@@ -34,7 +35,7 @@ READ = {  # elements that are read, or that do not affect the motion
 
 @dataclass
 class Robot:
-    """Robot as a specification for MuJoCo's compiler, and data that the specification lacks.
+    """A robot is a specification for MuJoCo's compiler, and data that the specification lacks.
 
     limits : lower and upper end by joint, rad or m.   world_mass : kg, of a root named world.
     left_out : messages on elements that mechanisms do not have.
@@ -70,6 +71,8 @@ def read(path: str | PathLike[str]) -> Robot:
             bodies[link] = robot.spec.worldbody.add_body(name=link)
         for name, value in inertial.items():
             setattr(bodies[link], name, value)
+    for name in joints:
+        _add_mimic(robot, name, joints)
     if settings is not None and settings.find("option[@gravity]") is not None:
         robot.left_out.append("gravity, which is an argument")
     robot.left_out += _lacking(root, links, joints)
@@ -94,7 +97,7 @@ def _by_name(root: Element, tag: str) -> dict[str, Element]:
 def _in_order(
     links: dict[str, Element], joints: dict[str, Element]
 ) -> Iterator[tuple[str, str | None]]:
-    """Links, each after its parent, with the joint to its parent; None for the root.
+    """Return the links, each after its parent, with the joint to its parent; None for the root.
 
     The order is that of MuJoCo's reader: depth first, children in the order of their joints.
     """
@@ -167,14 +170,33 @@ def _add_body(robot: Robot, parent: MjsBody, link: str, joint: str, element: Ele
         added.damping = (damping, 0.0, 0.0) if np.ndim(added.damping) else damping
         added.frictionloss = friction
     _read_limit(robot, joint, kind, _only(element, "limit", label))
-    mimic = _only(element, "mimic", label)
-    if mimic is not None:
-        robot.left_out.append(f"{label}: mimic of {mimic.get('joint')}")
     return body
 
 
+def _add_mimic(robot: Robot, name: str, joints: dict[str, Element]) -> None:
+    """Add the equality of a joint's <mimic>: its coordinate is multiplier · other + offset."""
+    import mujoco
+
+    label = f"joint {name}"
+    mimic = _only(joints[name], "mimic", label)
+    if mimic is None:
+        return
+    other = mimic.get("joint")
+    multiplier = _number(mimic, "multiplier", label, 1.0)
+    offset = _number(mimic, "offset", label, 0.0)
+    kinds = {each: joint.get("type") for each, joint in joints.items()}
+    if other == name or not {kinds[name], kinds.get(other or "")} <= {*SCALAR}:
+        robot.left_out.append(f"{label}: mimic of {other}")
+        return
+    equality = robot.spec.add_equality(
+        name=f"{label}: mimic of {other}", type=mujoco.mjtEq.mjEQ_JOINT,
+        objtype=mujoco.mjtObj.mjOBJ_JOINT, name1=name, name2=other,
+    )  # fmt: skip
+    equality.data[:5] = offset, multiplier, 0.0, 0.0, 0.0
+
+
 def _motions(kind: str, axis: Array) -> list[tuple[str, str, Array]]:
-    """MuJoCo's joints for a joint of URDF: name suffix, type and axis of each."""
+    """Return MuJoCo's joints for a joint of URDF: name suffix, type and axis of each."""
     along = np.eye(3)
     if kind in ("revolute", "continuous"):
         return [("", "HINGE", axis)]
@@ -205,7 +227,7 @@ def _read_limit(robot: Robot, joint: str, kind: str, element: Element | None) ->
 
 
 def _inertial(label: str, link: Element) -> dict[str, Any]:
-    """Mass, centre and inertia of a link, as fields of MuJoCo's body."""
+    """Return mass, centre and inertia of a link, as fields of MuJoCo's body."""
     from mujoco import mju_quat2Mat
 
     element = _only(link, "inertial", label)
@@ -230,7 +252,7 @@ def _inertial(label: str, link: Element) -> dict[str, Any]:
 
 
 def _origin(element: Element, label: str) -> tuple[Array, Array]:
-    """Position and quaternion of an element's <origin>; rpy rotate about fixed x, y and z."""
+    """Return position and quaternion of an element's <origin>; rpy rotate about fixed x, y, z."""
     from mujoco import mju_euler2Quat
 
     origin, quaternion = _only(element, "origin", label), np.empty(4)
@@ -239,7 +261,7 @@ def _origin(element: Element, label: str) -> tuple[Array, Array]:
 
 
 def _across(axis: Array) -> tuple[Array, Array]:
-    """Images of e₁ and e₂ under the shortest rotation from e₃ to the axis, as in MuJoCo."""
+    """Return e₁ and e₂ after the shortest rotation from e₃ to the axis, as in MuJoCo."""
     from mujoco import mju_quatZ2Vec, mju_rotVecQuat
 
     quaternion, first, second = np.empty(4), np.empty(3), np.empty(3)
@@ -294,7 +316,7 @@ def _listed(numbers: Array) -> str:
 
 
 def _lacking(root: Element, links: dict[str, Element], joints: dict[str, Element]) -> Iterator[str]:
-    """Elements of the file that the mechanism lacks, with their counts."""
+    """Yield the elements of the file that the mechanism lacks, with their counts."""
     collisions = sum(len(link.findall("collision")) for link in links.values())
     if collisions:
         yield f"{collisions} geoms that collide"

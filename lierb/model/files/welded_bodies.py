@@ -1,4 +1,4 @@
-"""Merging of the welded bodies of a compiled MuJoCo model into the body of one link."""
+"""Merge the welded bodies of a compiled MuJoCo model into the body of one link."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def label_of(model: MjModel, i: int) -> str:
 
 
 def pose_of(position: Array, quaternion: Array) -> Array:
-    """Pose, (4, 4), of MuJoCo's position and quaternion."""
+    """Return the pose, (4, 4), of MuJoCo's position and quaternion."""
     from mujoco import mju_quat2Mat
 
     rotation, pose = np.empty(9), np.eye(4)
@@ -51,7 +51,7 @@ def moving_body(model: MjModel, i: int, members: list[int]) -> Body:
 
 
 def _sum(model: MjModel, i: int, members: list[int]) -> Body:
-    """Sum of the members' masses and inertias, as a body in the frame of body i."""
+    """Return the sum of the members' masses and inertias, as a body in the frame of body i."""
     mass, moment, inertia = 0.0, np.zeros(3), np.zeros((3, 3))
     for k in members:
         frame = _pose_in(model, i, k) @ pose_of(model.body_ipos[k], model.body_iquat[k])
@@ -65,7 +65,7 @@ def _sum(model: MjModel, i: int, members: list[int]) -> Body:
 
 
 def _pose_in(model: MjModel, i: int, k: int) -> Array:
-    """Pose of body k in the frame of i, to which it is welded."""
+    """Return the pose of body k in the frame of i, to which it is welded."""
     if k == i:
         return np.eye(4)
     return _pose_in(model, i, model.body_parentid[k]) @ pose_of(
@@ -74,7 +74,7 @@ def _pose_in(model: MjModel, i: int, k: int) -> Array:
 
 
 def _refusal(model: MjModel, i: int, members: list[int]) -> str:
-    """Message of the InertiaError of the members; empty if their inertia is physical."""
+    """Return the members' InertiaError message; empty if their inertia is physical."""
     try:
         _sum(model, i, members)
     except InertiaError as error:

@@ -1,4 +1,4 @@
-"""Applied forces other than gravity: springs, limits, friction, drag, constant wrenches and motors.
+"""Applied forces other than gravity: springs, limits, friction, drag, wrenches, motors and gears.
 
 ::
 
@@ -12,11 +12,12 @@ Each force is a class with name, parameters and formulas, and a function of that
 Studies use the same names.
 """
 
-from lierb.model.forces import bushings, friction, limits, motors, springs, wrenches
+from lierb.model.forces import bushings, friction, gears, limits, motors, springs, wrenches
 from lierb.model.forces.built_in import UNITS
 from lierb.model.forces.built_in import BuiltIn as BuiltIn
 from lierb.model.forces.bushings import *  # noqa: F403
 from lierb.model.forces.friction import *  # noqa: F403
+from lierb.model.forces.gears import *  # noqa: F403
 from lierb.model.forces.limits import *  # noqa: F403
 from lierb.model.forces.motors import *  # noqa: F403
 from lierb.model.forces.springs import *  # noqa: F403
@@ -31,6 +32,7 @@ __all__ += bushings.__all__
 __all__ += friction.__all__
 __all__ += limits.__all__
 __all__ += motors.__all__
+__all__ += gears.__all__
 FORCE_UNITS = {name: UNITS[name] for name in __all__}  # units of parameters, by force
 
 

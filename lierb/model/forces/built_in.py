@@ -59,6 +59,15 @@ class BuiltIn(Element):
         own = {name: parameter.shape for name, parameter in self.parameters.items()}
         return super().shapes if self.functions else own
 
+    @property
+    def options(self) -> dict[str, Any]:
+        """Arguments other than parameters of the function that makes the force."""
+        return {}
+
+    def unit_of(self, name: str) -> str:
+        """Return the unit of a parameter, or "" for one of a user's function."""
+        return self.parameters[name].unit if name in self.parameters else ""
+
     def force(self, /, **values: ArrayLike) -> Force:
         """Make the force with these parameters."""
         made = Force.of(self.name, self, values)

@@ -2,27 +2,55 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar
+from dataclasses import dataclass
+from typing import Any, ClassVar, Self
 
-from lierb.kernels.mechanics.elements import Tangent, Wrench
+from lierb.kernels.mechanics.elements import Tangent, Wrench, counted_turn
 from lierb.kernels.mechanics.newton_euler import Motion
 from lierb.kernels.numbers.arithmetic import PI, fma, rint
 from lierb.kernels.numbers.trigonometry import atan2
 from lierb.kernels.numbers.vec import ZERO3
 from lierb.kernels.numbers.zero import ZERO
 from lierb.model.forces.built_in import BuiltIn
+from lierb.model.functions.named_values import require_attribute
+
+UNKNOWN = -1  # index of the counted angle before the force is part of a model
 
 
+@dataclass(frozen=True)
 class AtJoint(BuiltIn, is_abstract=True):
-    """Force about the joint axis e₃, a function of the angle and its rate."""
+    """Force about the joint axis e₃, a function of the angle and its rate.
 
+    turns : name of the state that counts whole turns, or "".   counter : index of its number among
+    those of all extra states.
+    """
+
+    turns: str = ""
+    counter: int = UNKNOWN
     needs_axis: ClassVar = True
+
+    @property
+    def options(self) -> dict[str, Any]:
+        return {"turns": self.turns} if self.turns else {}
+
+    @classmethod
+    def counting(cls, turns: str | None) -> Self:
+        """Return the force that takes its turns from a state of that name, if there is a name."""
+        if turns is not None:
+            require_attribute("a counted angle", turns)
+        return cls(turns or "")
 
     def rate(self, x: Motion) -> Any:
         return x.omega[2]
 
     def place(self, x: Motion, middle: Any) -> Any:
-        """Angle relative to `middle`, or, for a slide, coordinate along the axis."""
+        """Angle relative to `middle`, or, for a slide, coordinate along the axis.
+
+        The turns are those of the counted angle, which is off by less than half a turn; the rest is
+        that of the pose.
+        """
+        if self.turns:
+            return counted_turn(x.q, x.signals.states[self.counter]) - middle
         turn = atan2(x.q[3], x.q[0]) - middle
         return fma(-2.0 * PI, rint(turn * (0.5 / PI)), turn)  # in [−π, π]
 

@@ -32,6 +32,7 @@ class JointLimit(AtJoint):
     }
     is_conservative: ClassVar = True
     working: ClassVar = ("damping",)
+    jumping: ClassVar = ("damping",)
 
     def _beyond(self, placed: Any, x: Motion) -> tuple[Any, Any]:
         """Signed distance beyond a stop, and the damping there."""
@@ -56,6 +57,8 @@ class JointLimit(AtJoint):
 
     def farther(self, half: Any) -> tuple[Any, ...]:
         """Kinks beyond the upper stop: half a turn from the middle, and then the lower stop."""
+        if self.turns:
+            return (np.inf,)
         return PI, 2.0 * PI - half
 
     def energy(self, placed: Any, x: Motion) -> Any:
@@ -84,14 +87,19 @@ class SlideLimit(AlongJoint, JointLimit):
 
 
 def joint_limit(
-    *, lower: ArrayLike, upper: ArrayLike, stiffness: ArrayLike, damping: ArrayLike = 0.0
+    *,
+    lower: ArrayLike,
+    upper: ArrayLike,
+    stiffness: ArrayLike,
+    damping: ArrayLike = 0.0,
+    turns: str | None = None,
 ) -> Force:
     """Apply stops to a joint that turns: a spring and a damper about its axis beyond either one.
 
-    The energy includes the spring, the work the damper's power. A stop depends on the pose, not on
-    the path to it: the spring turns back the shorter way, so that upper − lower must be less
-    than 2π. Steps must be short relative to √(inertia/stiffness); a step across a stop is of lower
-    order. The joint must keep the axis e₃.
+    The energy includes the spring, the work the damper's power. Without `turns`, a stop depends on
+    the pose, not on the path to it: the spring turns back the shorter way, so that upper − lower
+    must be less than 2π. Steps must be short relative to √(inertia/stiffness); a step across a stop
+    is of lower order. The joint must keep the axis e₃.
 
     Parameters
     ----------
@@ -103,6 +111,8 @@ def joint_limit(
         Stiffness of the stops, N m/rad.
     damping : float or array_like, shape (n,), optional
         Damping in the stops, N m s/rad.
+    turns : str, optional
+        Name of the state by which `lierb.turns` counts whole turns of the same joint.
 
     Returns
     -------
@@ -115,8 +125,10 @@ def joint_limit(
     >>> lierb.forces.joint_limit(lower=-0.5, upper=[1.0, 1.5], stiffness=100.0, damping=0.1)
     <joint_limit: lower, upper, stiffness, damping>
     """
-    _require_order(lower, upper, 2.0 * np.pi)
-    return JointLimit().force(lower=lower, upper=upper, stiffness=stiffness, damping=damping)
+    _require_order(lower, upper, 2.0 * np.pi if turns is None else np.inf)
+    return JointLimit.counting(turns).force(
+        lower=lower, upper=upper, stiffness=stiffness, damping=damping
+    )
 
 
 def slide_limit(
@@ -166,5 +178,5 @@ def _require_order(lower: ArrayLike, upper: ArrayLike, turn: float = np.inf) -> 
         raise ArgumentError(
             f"{label} is {float(highs[body])} rad, a turn or more above lower, "
             f"{float(lows[body])}: stops that know the pose alone would never act; expected less "
-            "than 2π between them"
+            "than 2π between them, or turns= the name of a lierb.turns that counts them"
         )

@@ -1,28 +1,31 @@
-"""Motors at joint axes: prescribed torques, speeds and forces."""
+"""Motors at joint axes: prescribed torques and forces, speeds and positions."""
 
 from __future__ import annotations
 
 import inspect
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 from numpy.typing import ArrayLike
 
-from lierb.errors import ArgumentError, ForceError, brief
+from lierb.errors import ArgumentError, ForceError, brief, require_name
 from lierb.kernels.functions.function import Function
 from lierb.kernels.functions.shapes import Shape, UserFunction
 from lierb.kernels.functions.user_number import UserNumber
-from lierb.kernels.mechanics.elements import Wrench
+from lierb.kernels.mechanics.axis_rows import AxisRow
+from lierb.kernels.mechanics.elements import Wrench, second
 from lierb.kernels.mechanics.newton_euler import Kinematics, Motion
-from lierb.kernels.mechanics.rows import AddedRow, HeldBody
+from lierb.kernels.mechanics.rows import AddedRow, HeldBody, Rows, slides, turns
 from lierb.kernels.numbers.arithmetic import plain
-from lierb.kernels.numbers.vec import UNIT, ZERO3, Vec
+from lierb.kernels.numbers.vec import ZERO3
 from lierb.kernels.numbers.zero import ZERO
 from lierb.model.forces.built_in import BuiltIn, Parameter
 from lierb.model.functions.tracing import DERIVATIVES, user_function
 from lierb.model.functions.wrenches import Force
 
 __all__ = ["motor"]
+
+COORDINATES = ("turn", "slide")  # coordinates of a joint's axis
 
 
 @dataclass(frozen=True)
@@ -54,63 +57,144 @@ class SlideMotor(Motor):
 
 
 @dataclass(frozen=True)
-class SpeedMotor(Motor):
-    """Prescribed speed about the joint axis, rad/s: a constraint row instead of a force."""
+class Prescribed(Motor):
+    """Motion of the joint axis as given: a constraint row instead of a force.
 
-    parameters: ClassVar = {"speed": Parameter("rad/s")}
+    coordinate : "turn" about the axis, "slide" along it, or None for a choice by `on_joint`.
+    """
+
+    parameters: ClassVar = {}
+    coordinate: str | None = None
     rows: int = 1
+
+    @property
+    def needs_slide(self) -> bool:  # type: ignore[override]
+        return self.coordinate == "slide"
+
+    @property
+    def options(self) -> dict[str, Any]:
+        return {"coordinate": self.coordinate}
+
+    def on_joint(self, rows: Rows, joint: int = 0) -> Prescribed:
+        return replace(self, coordinate=self.coordinate or own_coordinate(rows))
+
+    def unit_of(self, name: str) -> str:
+        unit = super().unit_of(name)
+        return unit.replace("rad", "m") if self.needs_slide else unit
 
     def wrench(self, placed: Any, x: Motion) -> Wrench:
         return ZERO3, ZERO3
+
+
+class SpeedMotor(Prescribed):
+    """Prescribed rate of the angle or of the slide."""
+
+    parameters: ClassVar = {"speed": Parameter("rad/s")}
 
     def row(self, place: int, i: int) -> AddedRow:
         return SpeedRow(self, place, i)
 
 
-class SpeedRow(AddedRow):
-    """Constraint row Ω₃ = w(t)."""
+class PositionMotor(Prescribed):
+    """Prescribed angle or slide."""
 
-    is_holonomic = False
-    fixed_axis = 2
+    parameters: ClassVar = {"position": Parameter("rad")}
+
+    def row(self, place: int, i: int) -> AddedRow:
+        return PositionRow(self, place, i)
+
+
+def own_coordinate(rows: Rows) -> str:
+    """Return the coordinate of a joint's axis: its turn, or its slide if it does not turn."""
+    return "slide" if slides(rows) and not turns(rows) else "turn"
+
+
+class PrescribedRow(AxisRow):
+    """Row of a joint axis whose motion is a function of time."""
+
+    depends_on_time = True
 
     def __str__(self) -> str:
         return "motor"
 
-    def jacobian(self, x: Kinematics, body: HeldBody) -> Vec:
-        return UNIT[2] + ZERO3
+    def given(self, x: Kinematics, body: HeldBody) -> Any:
+        """Return the function's value at the time of a motion."""
+        return self.element.at(self.placed(body), x.time)
+
+    def slope(self, x: Kinematics, body: HeldBody) -> Any:
+        """Return the function's exact derivative by time."""
+        given = self.element.at(self.placed(body), UserNumber(plain(x.time), (1.0,)))
+        return slope_of(given)
+
+
+class SpeedRow(PrescribedRow):
+    """Constraint row q̇ = w(t), q the angle or the slide."""
+
+    is_holonomic = False
 
     def acceleration(self, x: Kinematics, body: HeldBody) -> Any:
-        """Exact derivative ẇ."""
-        rate = self.element.at(self.placed(body), UserNumber(plain(x.time), (1.0,)))
-        return rate.parts[0] if isinstance(rate, UserNumber) else ZERO
+        return self.bend(x, body) + self.slope(x, body)
 
     def prescribed_rate(self, x: Kinematics, body: HeldBody) -> Any:
-        return self.element.at(self.placed(body), x.time)
+        return self.given(x, body)
+
+
+class PositionRow(PrescribedRow):
+    """Constraint row q = f(t); angles are compared up to whole turns."""
+
+    def value(self, x: Kinematics, body: HeldBody) -> Any:
+        return self.distance(x, self.given(x, body))
+
+    def acceleration(self, x: Kinematics, body: HeldBody) -> Any:
+        moving = self.element.at(self.placed(body), second(x.time, 1.0, ZERO))
+        return self.bend(x, body) + slope_of(slope_of(moving))
+
+    def prescribed_rate(self, x: Kinematics, body: HeldBody) -> Any:
+        return self.slope(x, body)
+
+    def prescribed_place(self, x: Kinematics, body: HeldBody) -> Any:
+        return self.given(x, body)
+
+
+def slope_of(number: Any) -> Any:
+    """Return the derivative of a number with one derivative, or of a constant."""
+    return number.parts[0] if isinstance(number, UserNumber) and number.parts else ZERO
 
 
 def motor(
     torque: ArrayLike | UserFunction | None = None,
     *,
     speed: ArrayLike | UserFunction | None = None,
+    position: ArrayLike | UserFunction | None = None,
     force: ArrayLike | UserFunction | None = None,
+    coordinate: str | None = None,
     **parameters: ArrayLike,
 ) -> Force:
-    """Drive the joint axis by a torque or a speed about it, or by a force along it.
+    """Drive the joint axis by a torque about it, by a force along it, or by a motion as given.
 
-    Exactly one of `torque`, `speed` and `force` must be given: a number, one number for each body,
-    or a function of (t) or (t, params), t in s, or with a further argument `body`. `lierb.wrench`
-    describes the operations allowed in a function. The joint must keep the axis e₃, such as
-    revolute, cylindrical, screw and planar.
+    Exactly one of `torque`, `force`, `speed` and `position` must be given: a number, one number for
+    each body, or a function of (t) or (t, params), t in s, or with a further argument `body`.
+    `lierb.wrench` describes the operations allowed in a function. The joint must keep the axis e₃,
+    such as revolute, prismatic, cylindrical, screw and planar.
+
+    A speed or a position is a further constraint, and −λ of its row is the torque or the force of
+    the motor. The start must satisfy it: a position prescribes the speed too, by its exact
+    derivative. `Mechanism.close(pose, t0=…)` and `Mechanism.project(twist, pose, t0=…)` find such a
+    start.
 
     Parameters
     ----------
     torque : float, array_like of shape (n,), or callable, optional
         Torque about the axis, N m.
     speed : float, array_like of shape (n,), or callable, optional
-        Speed about the axis, rad/s. It is a further constraint, which the initial twist must
-        satisfy; −λ of its row is the torque of the motor.
+        Rate of the coordinate, rad/s, or m/s of a slide.
+    position : float, array_like of shape (n,), or callable, optional
+        Coordinate, rad, or m of a slide. An angle beyond ±π continues to the next turn.
     force : float, array_like of shape (n,), or callable, optional
         Force along the axis, N. The joint must slide along e₃, such as a prismatic one.
+    coordinate : {"turn", "slide"}, optional
+        Coordinate that `speed` or `position` prescribes. Default: the turn about the axis, or, if
+        the joint does not turn, the slide along it.
     **parameters : float or array_like, shape (n,)
         Parameters of the function, by name.
 
@@ -119,26 +203,50 @@ def motor(
     Force
         Element for `Problem(forces=…)`.
 
+    Raises
+    ------
+    ArgumentError
+        None or several of torque, force, speed and position are given.
+    ForceError
+        The function cannot be compiled.
+
     Examples
     --------
     >>> import lierb, math
     >>> lierb.forces.motor(lambda t, params: params.peak * math.sin(3.0 * t), peak=[0.1, 0.2])
     <motor: peak>
+
+    A pivot that is shaken by 1 cm:
+
+    >>> cart = lierb.joints.prismatic(axis=(0.0, 0.0, 1.0))
+    >>> shaken = lierb.forces.motor(position=lambda t: 0.01 * math.sin(200.0 * t))
+    >>> problem = lierb.Problem(lierb.bodies.sphere(0.1, mass=1.0), cart, forces=shaken)
+    >>> problem.project((0, 0, 0, 0, 0, 0)).round(9).tolist()
+    [0.0, 0.0, 0.0, 0.0, 0.0, 2.0]
     """
-    ways = {"torque": (torque, Motor), "speed": (speed, SpeedMotor), "force": (force, SlideMotor)}
+    ways: dict[str, tuple[Any, type[Motor]]] = {
+        "torque": (torque, Motor), "speed": (speed, SpeedMotor),
+        "position": (position, PositionMotor), "force": (force, SlideMotor),
+    }  # fmt: skip
     chosen = [(name, value, kind) for name, (value, kind) in ways.items() if value is not None]
     if len(chosen) != 1:
-        raise ArgumentError("give torque= or speed= or force=, one of them")
+        raise ArgumentError("give torque= or speed= or position= or force=, one of them")
     name, value, kind = chosen[0]
+    is_prescribed = issubclass(kind, Prescribed)
+    if coordinate is not None:
+        if not is_prescribed:
+            raise ArgumentError(f"coordinate={brief(coordinate)} is for speed= and position=")
+        require_name("coordinate", coordinate, COORDINATES)
+    options = {"coordinate": coordinate} if is_prescribed else {}
     if callable(value):
         if not inspect.isfunction(value):
             raise ForceError(
                 f"expected a number or a function of (t) or (t, params), got {brief(value)}"
             )
         shapes: dict[str, Shape] = dict.fromkeys(parameters, ())
-        because = None if speed is None else DERIVATIVES
+        because = DERIVATIVES if is_prescribed else None
         function = user_function(value, ("t",), shapes, ((),), because)
-        return kind(function).force(**parameters)
+        return kind(function, **options).force(**parameters)
     if parameters:
         raise ArgumentError(f"{', '.join(parameters)}: only a function takes parameters")
-    return kind(None).force(**{name: value})
+    return kind(None, **options).force(**{name: value})

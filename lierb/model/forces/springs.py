@@ -154,18 +154,24 @@ class TorsionalSpring(JointSpring):
     }
 
     def travel(self, placed: Any, start: Motion, end: Motion, size: Any) -> tuple[Bound, ...]:
+        if self.turns:
+            return ()
         # the torque jumps half a turn from where the spring is slack
         return (travel_to_kink(self.place(start, placed[2]), self.rate(end), (PI, 3.0 * PI)),)
 
 
 def torsional_spring(
-    *, stiffness: ArrayLike = 0.0, damping: ArrayLike = 0.0, angle: ArrayLike = 0.0
+    *,
+    stiffness: ArrayLike = 0.0,
+    damping: ArrayLike = 0.0,
+    angle: ArrayLike = 0.0,
+    turns: str | None = None,
 ) -> Force:
     """Apply a spring and damper about the joint axis.
 
-    The spring depends on the pose, not on the path to it: it turns back to `angle` the shorter way,
-    and its torque jumps at half a turn from there. The energy includes ½kφ², φ from `angle`. The
-    joint must keep the axis e₃, such as revolute, prismatic, cylindrical, screw and planar.
+    Without `turns`, the spring depends on the pose, not on the path to it: it turns back to `angle`
+    the shorter way, and its torque jumps at half a turn from there. The energy includes ½kφ², φ
+    from `angle`. The joint must keep the axis e₃, such as revolute, cylindrical, screw and planar.
 
     Parameters
     ----------
@@ -175,6 +181,8 @@ def torsional_spring(
         Damping, N m s/rad.
     angle : float or array_like, shape (n,), optional
         Angle at which the spring is slack, rad.
+    turns : str, optional
+        Name of the state by which `lierb.turns` counts whole turns of the same joint.
 
     Returns
     -------
@@ -187,7 +195,7 @@ def torsional_spring(
     >>> lierb.forces.torsional_spring(stiffness=0.5, damping=[0.0, 0.01])
     <torsional_spring: stiffness, damping, angle>
     """
-    return TorsionalSpring().force(stiffness=stiffness, damping=damping, angle=angle)
+    return TorsionalSpring.counting(turns).force(stiffness=stiffness, damping=damping, angle=angle)
 
 
 class SlideSpring(AlongJoint, JointSpring):

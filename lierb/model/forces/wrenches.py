@@ -32,6 +32,10 @@ class BodyWrench(BuiltIn):
         "torque": Parameter("N m", (3,)), "force": Parameter("N", (3,)), "point": BODY_POINT,
     }  # fmt: skip
 
+    @property
+    def options(self) -> dict[str, Any]:
+        return {"frame": "body"}
+
     def placed(self, values: dict[str, Any], frames: Frames) -> tuple[Any, ...]:
         force = frames.body_direction(values["force"])
         torque = frames.body_direction(values["torque"])

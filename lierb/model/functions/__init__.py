@@ -1,1 +1,1 @@
-"""Users' functions: wrenches, constraints, observables, events, states and controllers."""
+"""Users' functions are wrenches, constraints, observables, events, states and controllers."""

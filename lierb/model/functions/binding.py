@@ -1,4 +1,4 @@
-"""Binding of a problem's functions to its extra states and controllers' outputs."""
+"""Bind a problem's functions to its extra states and controllers' outputs."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from lierb.model.functions.tracing import why_untraced
 
 
 class Column(NamedTuple):
-    """Column of an extra state or of an output of a controller."""
+    """A column belongs to an extra state or to an output of a controller."""
 
     name: str
     shape: Shape
@@ -27,7 +27,7 @@ class Column(NamedTuple):
 
 
 def columns_of(elements: Iterable[Element]) -> tuple[Column, ...]:
-    """Columns of all extra states, then of all outputs, in the order of `Signals`."""
+    """Return the columns of all extra states, then of all outputs, in the order of `Signals`."""
     elements = tuple(elements)
     return tuple(
         Column(name, shape, each.units.get(name, "1"))
@@ -97,7 +97,7 @@ def require_different_events(events: Iterable[Event]) -> None:
 
 
 def _with_outputs(controllers: tuple[Controller, ...], states: Shapes) -> tuple[Controller, ...]:
-    """Copies of the controllers with the names and shapes of their outputs."""
+    """Return copies of the controllers with the names and shapes of their outputs."""
     unbound = (
         replace(seeing(f, states, ()), outputs=((), *f.outputs[1:]))
         for f in (each.kind.function for each in controllers)
@@ -108,7 +108,7 @@ def _with_outputs(controllers: tuple[Controller, ...], states: Shapes) -> tuple[
 
 @lru_cache(64)  # each part of a batch is a problem
 def _outputs_together(functions: tuple[Function, ...]) -> tuple[Shapes, ...]:
-    """Shapes of all controllers' outputs, each traced with the known outputs of the others."""
+    """Return the shapes of controllers' outputs, each traced with known outputs of the others."""
     outputs: dict[int, Shapes] = {}
     while len(outputs) < len(functions):
         known = tuple(pair for i in sorted(outputs) for pair in outputs[i])
@@ -123,7 +123,7 @@ def _outputs_together(functions: tuple[Function, ...]) -> tuple[Shapes, ...]:
 
 
 def _outputs_or_unknown(function: Function, known: Shapes) -> tuple[Shapes | None, str]:
-    """Outputs of a controller by tracing, or None and the name of an unknown output that it takes.
+    """Trace a controller; return its outputs, or None and the name of an unknown one it takes.
 
     known : known outputs of all controllers.
     """
@@ -151,7 +151,7 @@ TRIES = 10  # largest number of guesses at shapes that depend on each other
 
 
 def _outputs_in_a_ring(functions: dict[int, Function], known: Shapes) -> dict[int, Shapes]:
-    """Outputs of controllers that take their own outputs, or each other's.
+    """Return the outputs of controllers that take their own outputs, or each other's.
 
     The first guess is that all outputs are numbers. Tracing is repeated with the shapes that it
     returns, until they no longer change.

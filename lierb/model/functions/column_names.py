@@ -1,4 +1,4 @@
-"""Names of a run's columns, which observables, states and outputs must not use."""
+"""Observables, states and outputs must not use the names of a run's columns."""
 
 from __future__ import annotations
 

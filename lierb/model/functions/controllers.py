@@ -1,4 +1,4 @@
-"""Sampled controllers made from users' functions: `lierb.controller`."""
+"""`lierb.controller` makes sampled controllers from users' functions."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from lierb.kernels.functions.function import Function
 from lierb.kernels.functions.shapes import Shapes, UserFunction
 from lierb.kernels.functions.trials import outputs_of
 from lierb.kernels.mechanics import elements as kinds
+from lierb.kernels.mechanics.elements import FELT
 from lierb.model.functions.decorated import Decorated, decorated
 from lierb.model.functions.named_values import (
     NamedValues,
@@ -25,7 +26,13 @@ from lierb.model.functions.named_values import (
     shapes_of,
     values_of,
 )
-from lierb.model.functions.tracing import MOTION, SIGNALS, described, form_of_any, why_untraced
+from lierb.model.functions.tracing import (
+    SIGNALS,
+    described,
+    form_of_any,
+    seen_by,
+    why_untraced,
+)
 from lierb.support.arrays import as_positive
 
 
@@ -64,7 +71,7 @@ class Controller(NamedValues):
 
 
 class ControllerFunction(Decorated):
-    """Function decorated by `lierb.controller`: outputs at sampled times."""
+    """A function decorated by `lierb.controller` returns outputs at sampled times."""
 
     def __init__(self, function: UserFunction, defaults: dict[str, Any]) -> None:
         parameters = dict(defaults)
@@ -89,8 +96,8 @@ class ControllerFunction(Decorated):
             raise ArgumentError(f"{name} has no period; give every=, s, such as {name}(every=0.1)")
         parameters, values = values_of(arguments, self.initial, self.defaults)
         function = described(
-            self.function, MOTION, self._shapes(parameters), (),
-            partial(form_of_any, (*SIGNALS, "memory") if self.memory else SIGNALS),
+            self.function, seen_by(self.function), self._shapes(parameters), (),
+            partial(form_of_any, (*SIGNALS, "memory") if self.memory else SIGNALS, further=FELT),
             memory=self.memory, outputs=((), self.memory) if self.memory else ((),), draws=True,
         )  # fmt: skip
         kind = kinds.UserController(function, self.memory)
@@ -128,9 +135,10 @@ def controller(
 def controller(function: UserFunction | None = None, /, **given: Any) -> Any:
     """Make a sampled controller from a function: `@lierb.controller(every=0.1)`.
 
-    The function takes any of t, R, r, omega, v, params, body, states, controls and memory, by these
-    names and in any order, each as in `lierb.wrench`. It returns its outputs, a dictionary of
-    numbers and vectors by name; with memory (outputs, memory), two dictionaries.
+    The function takes any of t, R, r, omega, v, params, body, states, controls, memory, alpha and
+    specific_force, by these names and in any order, each as in `lierb.observable`; accelerations
+    are those with the outputs before the call. It returns its outputs, a dictionary of numbers and
+    vectors by name; with memory (outputs, memory), two dictionaries.
 
     The function is called at multiples of its period, 0, T, 2T, …, from the start of the run on.
     Outputs are constant until the next call, and zero before the first one. Wrenches, observables,

@@ -1,4 +1,4 @@
-"""Decorated functions: users' functions with defaults for their parameters."""
+"""Decorated functions are users' functions with defaults for their parameters."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class Decorated:
         return f"<{kind} {name}: {', '.join(self.defaults) or 'no parameters'}>"
 
     def _shapes(self, parameters: dict[str, ArrayLike]) -> dict[str, Shape]:
-        """Shapes of the parameters for one body: those of the defaults, or numbers.
+        """Return the shapes of the parameters for one body: those of the defaults, or numbers.
 
         Their order, which is part of the kernel's name, does not depend on the order in the call.
         """

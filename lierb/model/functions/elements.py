@@ -1,4 +1,4 @@
-"""Elements of a model other than bodies, joints and gravity: parameters and kernel elements."""
+"""A model's elements, besides bodies, joints and gravity, have parameters and kernel elements."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from lierb.support.arrays import Array, Which, as_numbers, batch_size, items_at
 
 @dataclass(frozen=True, eq=False)
 class Element:
-    """Element of a model: a force, a constraint, an observable or another function of the motion.
+    """A model's element is a force, a constraint, an observable or another function of motion.
 
     Attributes
     ----------
@@ -89,13 +89,13 @@ class Element:
         return replace(self, at=at)
 
     def of_body(self, which: Which) -> Self:
-        """Element for one body of the batch, or for part of the batch."""
+        """Return the element for one body of the batch, or for part of the batch."""
         shapes = self.kind.shapes
         parameters = {n: items_at(a, which, len(shapes[n])) for n, a in self.parameters.items()}
         return replace(self, parameters=parameters)
 
     def batched(self) -> dict[str, tuple[Array, int]]:
-        """Arguments for `batch_size`: each parameter with its number of item axes."""
+        """Return the arguments for `batch_size`: each parameter with its number of item axes."""
         return {
             f"{self.name}.{name}": (array, len(self.kind.shapes[name]))
             for name, array in self.parameters.items()
@@ -103,7 +103,7 @@ class Element:
 
     @cached_property
     def references(self) -> tuple[Reference, ...]:
-        """Objects that the element's users' functions referred to when it was made."""
+        """Return the objects that the element's users' functions referred to when it was made."""
         return tuple(r for function in self.kind.functions for r in function.references)
 
     def require_unchanged(self) -> None:
@@ -116,7 +116,7 @@ class Element:
                 )
 
     def bound(self, states: Shapes, controls: Shapes) -> Self:
-        """Element bound to a problem's extra states and outputs of controllers.
+        """Return the element bound to a problem's extra states and outputs of controllers.
 
         Raises ForceError if its function uses states or outputs that the problem lacks.
         """

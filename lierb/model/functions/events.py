@@ -1,4 +1,4 @@
-"""Events made from users' functions: `lierb.event`."""
+"""`lierb.event` makes events from users' functions."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from lierb.kernels.functions.shapes import UserFunction
 from lierb.kernels.mechanics import elements as kinds
 from lierb.model.functions.decorated import Decorated, column_name, decorated
 from lierb.model.functions.elements import Element
-from lierb.model.functions.tracing import MOTION, by_name, user_function
+from lierb.model.functions.tracing import by_feeling, seen_by, user_function
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Event(Element):
-    """Zero crossing of a function of the motion, made by `lierb.event`.
+    """An event is a zero crossing of a function of the motion, made by `lierb.event`.
 
     Attributes
     ----------
@@ -66,7 +66,7 @@ class Event(Element):
 
 
 class EventFunction(Decorated):
-    """Function decorated by `lierb.event`: a number whose zeros are events."""
+    """A function decorated by `lierb.event` returns a number whose zeros are events."""
 
     def __init__(self, function: UserFunction, defaults: dict[str, Any]) -> None:
         direction, terminal = defaults.pop("direction", 0), defaults.pop("terminal", False)
@@ -82,7 +82,9 @@ class EventFunction(Decorated):
     def __call__(self, **parameters: ArrayLike) -> Event:
         """Make the event with these parameters, one value for all bodies or one for each."""
         shapes = self._shapes(parameters)
-        function = user_function(self.function, MOTION, shapes, ((),), form=by_name)
+        function = user_function(
+            self.function, seen_by(self.function), shapes, ((),), form=by_feeling
+        )
         return Event.of(
             column_name("the event's name", function.name), kinds.UserEvent(function),
             self.defaults | parameters,
@@ -99,9 +101,10 @@ def event(
 def event(function: UserFunction | None = None, /, **defaults: Any) -> Any:
     """Make an event from a function: `@lierb.event(terminal=True)`, with defaults as in `wrench`.
 
-    The function takes any of t, R, r, omega, v, params, body, states and controls, by these names
-    and in any order, each as in `lierb.wrench`, and returns one number, which should be smooth. An
-    event occurs when this number crosses zero. The crossings are in `result.events`.
+    The function takes any of t, R, r, omega, v, params, body, states, controls, alpha and
+    specific_force, by these names and in any order, each as in `lierb.observable`, and returns one
+    number, which should be smooth. An event occurs when this number crosses zero. The crossings are
+    in `result.events`.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Elements with named values: extra states and outputs of controllers.
+"""Extra states and outputs of controllers are elements with named values.
 
 Other functions of a problem read these values by name. Functions are therefore tried when the
 problem is made.
@@ -23,7 +23,7 @@ from lierb.support.arrays import as_floats
 
 @dataclass(frozen=True, eq=False, repr=False)
 class NamedValues(Element):
-    """Element with named values, which are columns of results.
+    """An element's named values are columns of results.
 
     units : unit of each value, by name; "1" by default.
     """
@@ -34,11 +34,12 @@ class NamedValues(Element):
 
     @property
     def columns(self) -> Shapes:
-        """Names and shapes of the values."""
+        """Return the names and shapes of the values."""
         raise NotImplementedError
 
     def bound(self, states: Shapes, controls: Shapes) -> Self:
-        assert self.made_by is not None
+        if self.made_by is None:  # lierb's own
+            return self
         function = seeing(self.kind.function, states, controls)
         return self.of_kind(function=runnable(function, self.made_by.function, self.because))
 

@@ -1,4 +1,4 @@
-"""Random numbers for controllers, addressed by seed, trajectory, name, tick and component.
+"""Controllers draw random numbers, addressed by seed, trajectory, name, tick and component.
 
 `normal` draws in functions of `@lierb.controller`; `sample` computes the same bits elsewhere.
 No draw depends on an earlier one: a trajectory has the same noise alone and in a batch of a

@@ -1,4 +1,4 @@
-"""Observables made from users' functions: `lierb.observable`."""
+"""`lierb.observable` makes observables from users' functions."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from lierb.kernels.functions.shapes import UserFunction
 from lierb.kernels.mechanics import elements as kinds
 from lierb.model.functions.decorated import Decorated, column_name, decorated, require_unit
 from lierb.model.functions.elements import Element
-from lierb.model.functions.tracing import MOTION, by_name, user_function
+from lierb.model.functions.tracing import by_feeling, seen_by, user_function
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Observable(Element):
-    """Number recorded along the motion, made by `lierb.observable`.
+    """An observable is a number recorded along the motion, made by `lierb.observable`.
 
     Attributes
     ----------
@@ -62,7 +62,7 @@ class Observable(Element):
 
 
 class ObservableFunction(Decorated):
-    """Function decorated by `lierb.observable`: a number recorded along the motion."""
+    """A function decorated by `lierb.observable` returns a number recorded along the motion."""
 
     def __init__(self, function: UserFunction, defaults: dict[str, Any]) -> None:
         unit = require_unit("unit", defaults.pop("unit", "1"))
@@ -73,7 +73,9 @@ class ObservableFunction(Decorated):
         """Make the observable with these parameters, one value for all bodies or one for each."""
         name = column_name("the observable's name", self.function.__name__)
         shapes = self._shapes(parameters)
-        function = user_function(self.function, MOTION, shapes, ((),), form=by_name)
+        function = user_function(
+            self.function, seen_by(self.function), shapes, ((),), form=by_feeling
+        )
         kind, values = kinds.UserObservable(function), self.defaults | parameters
         return Observable.of(name, kind, values, unit=self.unit, made_by=self)
 
@@ -89,11 +91,16 @@ def observable(function: UserFunction | None = None, /, **defaults: Any) -> Any:
 
     Defaults of parameters are as in `lierb.wrench`.
 
-    The function takes any of t, R, r, omega, v, params, body, states and controls, by these names
-    and in any order, each as in `lierb.wrench`, and returns one number. It is evaluated at the
+    The function takes any of t, R, r, omega, v, params, body, states, controls, alpha and
+    specific_force, by these names and in any order, and returns one number. It is evaluated at the
     times of measurement (`measure_every`, `save_every`), and does not change the motion. Adaptive
     steps are long: for an accurate mean set `dt_max`, or integrate the number as a state
     (`lierb.states`).
+
+    Arguments are as in `lierb.wrench`. `alpha` is the angular acceleration, rad/s², and
+    `specific_force` the acceleration of the body frame's origin less gravity, m/s²: both relative
+    to the ground and in body axes. At a point p of the body an accelerometer reads
+    specific_force + alpha × p + omega × (omega × p). In a mechanism such a function is on one link.
 
     `history` has the values in a column with the observable's name. `summary` has statistics over
     the measured times: `…_min`, `…_max`, `…_mean`, the mean over time by the trapezoidal rule, and

@@ -1,4 +1,4 @@
-"""Extra states, integrated with the motion by users' functions: `lierb.states`."""
+"""`lierb.states` makes extra states, integrated with the motion by users' functions."""
 
 from __future__ import annotations
 
@@ -24,19 +24,19 @@ from lierb.model.functions.tracing import MOTION, by_name, described, runnable
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ExtraStates(NamedValues):
-    """Extra states in addition to those of bodies, made by `lierb.states`."""
+    """Extra states made by `lierb.states` are in addition to those of bodies."""
 
     words: ClassVar = "states", "states"
     because: ClassVar = "it is integrated with the motion, of many at once"
 
     @property
     def columns(self) -> Shapes:
-        """Names and shapes of the states."""
+        """Return the names and shapes of the states."""
         return tuple(self.kind.states)
 
 
 class StatesFunction(Decorated):
-    """Function decorated by `lierb.states`: derivatives of extra states."""
+    """A function decorated by `lierb.states` returns derivatives of extra states."""
 
     def __init__(self, function: UserFunction, defaults: dict[str, Any]) -> None:
         initial = dict(defaults)

@@ -1,4 +1,4 @@
-"""Conversion of users' functions to functions for kernels: arguments, trial, errors."""
+"""Convert users' functions to functions for kernels: arguments, trial, errors."""
 
 from __future__ import annotations
 
@@ -18,9 +18,11 @@ from lierb.kernels.functions.refusals import TEXT
 from lierb.kernels.functions.shapes import Shape, UserFunction
 from lierb.kernels.functions.source_lines import where_it_was
 from lierb.kernels.functions.trials import compile_alone, trial
+from lierb.kernels.mechanics.elements import FELT
 
 ARGUMENTS: dict[str, Shape] = {"t": (), "R": (3, 3), "r": (3,), "omega": (3,), "v": (3,)}
-MOTION, POSE = tuple(ARGUMENTS), ("R", "r")
+MOTION, POSE, VELOCITY = tuple(ARGUMENTS), ("R", "r"), ("omega", "v")
+FURTHER: dict[str, Shape] = ARGUMENTS | dict.fromkeys(FELT, (3,))
 SIGNALS = ("states", "controls")
 # Measured with AVX-512, one thread, RK4: a spring with drag and a stop, 13 and 14 times on a free
 # body, 36 and 58 on a revolute joint. A function that makes no array loses nothing.
@@ -69,7 +71,7 @@ def described(
     except UnfitFunctionError as error:
         raise ForceError(f"{name} cannot be compiled: {error}") from None
     return Function(
-        name, digest, own_form, tuple((x, ARGUMENTS[x]) for x in arguments), tuple(shapes.items()),
+        name, digest, own_form, tuple((x, FURTHER[x]) for x in arguments), tuple(shapes.items()),
         results, True, python, references, modules, **fields,
     )  # fmt: skip
 
@@ -106,7 +108,7 @@ def runnable(traced: Function, function: UserFunction, because: str | None = Non
 
 
 def why_untraced(function: Function, attempt: Callable[[Function], Any]) -> str | None:
-    """Reason why `attempt`, such as `trial`, cannot trace the function; None if it can.
+    """Return the reason why `attempt`, such as `trial`, cannot trace the function; None if it can.
 
     Raises ForceError for a function that depends on more than its arguments; Numba must not
     compile it either.
@@ -126,7 +128,7 @@ def why_untraced(function: Function, attempt: Callable[[Function], Any]) -> str 
 
 
 def _frames_of_lierb() -> int:
-    """Number of frames of lierb above the caller's, for the stack level of a warning."""
+    """Count the frames of lierb above the caller's, for the stack level of a warning."""
     frame, count = inspect.currentframe(), 0
     while frame is not None and frame.f_globals.get("__name__", "").partition(".")[0] == "lierb":
         frame, count = frame.f_back, count + 1
@@ -134,10 +136,19 @@ def _frames_of_lierb() -> int:
 
 
 def form_of_any(
-    signals: tuple[str, ...], function: UserFunction, name: str, has_parameters: bool
+    signals: tuple[str, ...],
+    function: UserFunction,
+    name: str,
+    has_parameters: bool,
+    arguments: tuple[str, ...] = MOTION,
+    further: tuple[str, ...] = (),
 ) -> tuple[str, ...]:
-    """Names of the function's arguments in its order: any of ARGUMENTS, params, body, signals."""
-    signature, known = inspect.signature(function), (*ARGUMENTS, "params", "body", *signals)
+    """List the function's arguments in its order.
+
+    They are any of `arguments`, params, body, `signals` and `further`.
+    """
+    signature = inspect.signature(function)
+    known = (*arguments, "params", "body", *signals, *further)
     expected = f"any of ({', '.join(known)}) by these names"
     form: list[str] = []
     for parameter in signature.parameters.values():
@@ -155,6 +166,13 @@ def form_of_any(
 
 
 by_name = partial(form_of_any, SIGNALS)
+by_feeling = partial(form_of_any, SIGNALS, further=FELT)
+
+
+def seen_by(function: UserFunction) -> tuple[str, ...]:
+    """Arguments of a function of the motion: MOTION, and FELT if it takes any of these."""
+    names = inspect.signature(function).parameters
+    return (*MOTION, *FELT) if any(name in names for name in FELT) else MOTION
 
 
 def form_of(
@@ -172,6 +190,11 @@ def form_of(
     own = list(signature.parameters.values())
     named = {p.name: i for i, p in enumerate(own) if p.name in others and p.kind is POSITIONAL}
     for p in own:
+        if p.name in FELT:
+            raise ForceError(
+                f"{name} takes {signature}, but sees no {p.name}, which depends on all forces; "
+                "observables, events and controllers do"
+            )
         if p.name in SIGNALS and p.name not in others and p.default is inspect.Parameter.empty:
             raise ForceError(
                 f"{name} takes {signature}, but sees no {p.name}: wrenches, observables, events, "
@@ -218,7 +241,7 @@ _IN_PLAIN_WORDS = {
 
 
 def _sentence(error: Exception) -> str:
-    """First informative line of an error's message."""
+    """Return the first informative line of an error's message."""
     text = str(error)
     for words, plain in _IN_PLAIN_WORDS.items():
         if words in text:

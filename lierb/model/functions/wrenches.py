@@ -1,4 +1,4 @@
-"""Forces, and wrenches made from users' functions: `lierb.wrench`."""
+"""`lierb.wrench` makes wrenches, which are forces, from users' functions."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from lierb.model.functions.tracing import DERIVATIVES, MOTION, POSE, SIGNALS, fo
 
 
 class Force(Element):
-    """Force on the body, made by `lierb.forces` or by `lierb.wrench`."""
+    """A force on the body is made by `lierb.forces` or by `lierb.wrench`."""
 
     words: ClassVar = "a force", "forces"
 
@@ -26,7 +26,7 @@ WRENCH: tuple[Shape, ...] = ((3,), (3,))
 
 
 class Wrench(Decorated):
-    """Function decorated by `lierb.wrench`: torque and force on a body."""
+    """A function decorated by `lierb.wrench` returns torque and force on a body."""
 
     _potential: UserFunction | None = None
 

@@ -1,4 +1,4 @@
-"""Joint catalogue: each joint is a list of constraint rows between two frames.
+"""Each joint of the catalogue is a list of constraint rows between two frames.
 
 The rows are those of `lierb.kernels.mechanics.rows`, in the order of λ. They act on D = G⁻¹CB =
 (Q, d), with G the joint frame in the ground and B in the body: `d1` d_i = 0, `Qtd1`

@@ -1,4 +1,4 @@
-"""Entries of the joint catalogue, and joints made from rows by name."""
+"""Define the entries of the joint catalogue, and make joints from rows by name."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Coordinates of one link of a mechanism: numbers, a rotation, or the pose of the link."""
+"""The coordinates of a mechanism's link are numbers, a rotation, or the pose of the link."""
 
 from __future__ import annotations
 

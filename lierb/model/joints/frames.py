@@ -1,4 +1,4 @@
-"""Joint frames from a point and directions, or from 4×4 matrices."""
+"""Make joint frames from a point and directions, or from 4×4 matrices."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ def _one_of(what: str, ground: Any, parent: Any) -> Any:
 
 
 def _direction(argument: str, value: ArrayLike) -> Vec:
-    """Unit vector along `value`."""
+    """Return the unit vector along `value`."""
     array = as_numbers(argument, value, (3,))
     largest = np.abs(array).max(axis=-1)
     zero = np.flatnonzero(largest == 0.0)
@@ -105,7 +105,10 @@ def _perpendicular(argument: str, value: ArrayLike, e3: Vec) -> Vec:
 
 
 def _any_perpendicular(e3: Vec) -> Vec:
-    """Unit vector ⊥ e₃: the part of x normal to e₃, or of y if e₃ is near x (|cos| ≥ 0.9)."""
+    """Return a unit vector ⊥ e₃: the part of x normal to e₃, or of y if e₃ is near x.
+
+    Near means |cos| ≥ 0.9.
+    """
     x_fits = np.abs(e3[0]) < 0.9
     chosen = (np.where(x_fits, 1.0, 0.0), np.where(x_fits, 0.0, 1.0), np.zeros_like(e3[2]))
     return _unit(sub(chosen, scale(dot(chosen, e3), e3)))

@@ -1,4 +1,4 @@
-"""Joints: constraint rows between two frames, and coordinates of the allowed motions."""
+"""A joint has constraint rows between two frames, and coordinates of the allowed motions."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ MOST_ROWS = 12  # twice the freedoms of a body: a joint may be stated twice, in 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Joint(Represented):
-    """A joint between the ground and the body; made by the entries of `lierb.joints`.
+    """A joint connects the body to the ground; the entries of `lierb.joints` make it.
 
     Attributes
     ----------
@@ -108,12 +108,12 @@ class Joint(Represented):
 
     @property
     def error_kinds(self) -> tuple[str, ...]:
-        """Kinds of constraint errors of the joint, "position", "rotation" or both."""
+        """Return the kinds of constraint errors of the joint, "position", "rotation" or both."""
         return tuple(sorted({row.error_kind for row in self.rows}))
 
     @cached_property
     def closed_pose(self) -> Array:
-        """Pose C = G B⁻¹ in which the two joint frames coincide, (4, 4) or (n, 4, 4).
+        """Return the pose C = G B⁻¹ in which the two joint frames coincide, (4, 4) or (n, 4, 4).
 
         For a rod they do not coincide: the body's joint frame is at length·e₃ in the ground's.
         """
@@ -243,7 +243,7 @@ class Joint(Represented):
 
     @property
     def coordinate_names(self) -> tuple[str, ...]:
-        """Names of the joint's coordinates, for the lower pairs, all motion groups, and products.
+        """Return the coordinates' names, for the lower pairs, all motion groups, and products.
 
         `phi`: angle about e₃, rad; `xi1` … `xi3`: rotation vector, rad, in the ground's joint
         frame; `d1` … `d3`: position of the body's joint frame in the ground's, m. A universal joint
@@ -367,14 +367,14 @@ class Joint(Represented):
 
     @property
     def _frames(self) -> dict[str, tuple[Array, int]]:
-        """Arguments for `batch_size`."""
+        """Return the arguments for `batch_size`."""
         return {"ground_frame": (self.ground_frame, 2), "body_frame": (self.body_frame, 2)}
 
     def _placed(self, pose: Any) -> Array:
         return self.closed_pose if pose is None else as_poses("pose", pose)
 
     def _relative(self, placed: Array) -> Pose:
-        """Relative pose D = G⁻¹CB of the two joint frames."""
+        """Return the relative pose D = G⁻¹CB of the two joint frames."""
         batch_size(pose=(placed, 2), **self._frames)
         ground, body = pose_components(self.ground_frame), pose_components(self.body_frame)
         return se3.compose(se3.compose(se3.inverse(ground), pose_components(placed)), body)

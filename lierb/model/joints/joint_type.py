@@ -1,4 +1,4 @@
-"""Joint types: catalogue entries that make joints from points and axes, or from frames."""
+"""A joint type is a catalogue entry that makes joints from points and axes, or from frames."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Motions of joints with coordinates: maps from coordinates to D and from rates to D⁻¹Ḋ.
+"""Motions of joints with coordinates are maps from coordinates to D and from rates to D⁻¹Ḋ.
 
 Coordinates of a subgroup of SE(3) are a rotation vector or one angle, and positions. The motions of
 other joints are a product of two with one freedom each, such as the two turns of a universal joint.
@@ -22,7 +22,7 @@ TURNS = ("xi1", "xi2", "xi3")  # names of the components of a rotation vector
 
 
 class Factor(NamedTuple):
-    """Motion with one freedom, about or along an axis of the joint frame.
+    """A factor is a motion with one freedom, about or along an axis of the joint frame.
 
     name : name of the coordinate.   kind : "turn" or "slide".   axis : 0, 1 or 2.
     """
@@ -33,28 +33,28 @@ class Factor(NamedTuple):
 
     @property
     def slot(self) -> int:
-        """Index of its rate in the twist (ω, v)."""
+        """Return the index of its rate in the twist (ω, v)."""
         return self.axis if self.kind == "turn" else 3 + self.axis
 
     @property
     def rows(self) -> Rows:
-        """Rows of the joint that has this motion only."""
+        """Return the rows of the joint that has this motion only."""
         positions = [f"d{i + 1}" for i in range(3) if self.kind == "turn" or i != self.axis]
         turns = [f"Omega{i + 1}" for i in range(3) if self.kind == "slide" or i != self.axis]
         return tuple(JOINT_ROWS[name] for name in (*positions, *turns))
 
     def motion(self, number: Any) -> Pose:
-        """Factor F at a coordinate."""
+        """Return the factor F at a coordinate."""
         along = tuple(number if i == self.axis else ZERO for i in range(3))
         return (so3.exp(along), ZERO3) if self.kind == "turn" else (so3.identity, along)
 
     def twist(self, rate: Any) -> Vec:
-        """Twist F⁻¹Ḟ for a rate."""
+        """Return the twist F⁻¹Ḟ for a rate."""
         return tuple(rate if i == self.slot else ZERO for i in range(6))
 
 
 class SubgroupMotions:
-    """Motions D in a subgroup H of SE(3): a rotation vector or one angle, and positions."""
+    """Motions D in a subgroup H of SE(3) have a rotation vector or one angle, and positions."""
 
     def __init__(self, slots: Slots, pitch: Array) -> None:
         self.slots, self.pitch = slots, pitch
@@ -66,12 +66,12 @@ class SubgroupMotions:
         return turning + tuple(f"d{i + 1}" for i in range(3) if slots[3 + i] >= 0)
 
     def pose(self, numbers: Vec) -> Pose:
-        """Relative pose D of coordinates."""
+        """Return the relative pose D of coordinates."""
         turning, position = self._lifted(numbers)
         return so3.exp(turning), position
 
     def coordinates(self, relative: Pose) -> Vec:
-        """Coordinates of a relative pose D in H."""
+        """Return the coordinates of a relative pose D in H."""
         q, d = relative
         turning: Vec = ()
         if self.slots[0] >= 0:
@@ -81,12 +81,12 @@ class SubgroupMotions:
         return turning + tuple(d[i] for i in range(3) if self.slots[3 + i] >= 0)
 
     def twist_at(self, rates: Vec, numbers: Vec) -> Vec:
-        """Twist D⁻¹Ḋ for rates at coordinates, whose rotation vector may exceed π."""
+        """Return the twist D⁻¹Ḋ for rates at coordinates, whose rotation vector may exceed π."""
         xi, _ = self._lifted(numbers)
         return self._twist(rates, xi, so3.exp(xi))
 
     def twist(self, rates: Vec, relative: Pose) -> Vec:
-        """Twist D⁻¹Ḋ of rates at D."""
+        """Return the twist D⁻¹Ḋ of rates at D."""
         q, _ = relative
         return self._twist(rates, so3.log(q), q)
 
@@ -97,7 +97,7 @@ class SubgroupMotions:
         return turning + mat_t_vec(q, sliding)
 
     def rates(self, twist: Vec, relative: Pose) -> Vec:
-        """Rates of the coordinates, from D⁻¹Ḋ."""
+        """Return the rates of the coordinates, from D⁻¹Ḋ."""
         q, _ = relative
         rates: Vec = ()
         if self.slots[0] >= 0:
@@ -108,7 +108,7 @@ class SubgroupMotions:
         return rates + tuple(drift[i] for i in range(3) if self.slots[3 + i] >= 0)
 
     def _lifted(self, numbers: Vec) -> tuple[Vec, Vec]:
-        """Rotation vector and position for coordinates; for rates, the rates of both."""
+        """Return rotation vector and position for coordinates; for rates, the rates of both."""
         turning = tuple(numbers[slot] if slot >= 0 else ZERO for slot in self.slots[:3])
         position = tuple(
             numbers[slot] if slot >= 0 else self.pitch * turning[2] if slot == PITCHED else ZERO
@@ -139,12 +139,12 @@ class ProductMotions:
         return tuple(factor.name for factor in self.factors)
 
     def pose(self, numbers: Vec) -> Pose:
-        """Relative pose D of coordinates."""
+        """Return the relative pose D of coordinates."""
         a, b = numbers
         return se3.compose(self.first.motion(a), self.last.motion(b))
 
     def coordinates(self, relative: Pose) -> Vec:
-        """Coordinates (a, b) of D."""
+        """Return the coordinates (a, b) of D."""
         q, d = relative
         if self.first.kind == "slide":
             a = d[self.first.axis]
@@ -166,16 +166,16 @@ class ProductMotions:
         return i, j, 3 - i - j, 1.0 if j == (i + 1) % 3 else -1.0
 
     def twist_at(self, rates: Vec, numbers: Vec) -> Vec:
-        """Twist D⁻¹Ḋ = Ad(F₂⁻¹) (ȧ e₁) + ḃ e₂ for rates at coordinates."""
+        """Return the twist D⁻¹Ḋ = Ad(F₂⁻¹) (ȧ e₁) + ḃ e₂ for rates at coordinates."""
         back = se3.inverse(self.last.motion(numbers[1]))
         return add(se3.Ad(back, self.first.twist(rates[0])), self.last.twist(rates[1]))
 
     def twist(self, rates: Vec, relative: Pose) -> Vec:
-        """Twist D⁻¹Ḋ of rates at D."""
+        """Return the twist D⁻¹Ḋ of rates at D."""
         return self.twist_at(rates, self.coordinates(relative))
 
     def rates(self, twist: Vec, relative: Pose) -> Vec:
-        """Rates ȧ and ḃ, from D⁻¹Ḋ."""
+        """Return the rates ȧ and ḃ, from D⁻¹Ḋ."""
         q, _ = relative
         parts = {"turn": twist[:3], "slide": twist[3:]}
         first = dot(row(q, self.first.axis), parts[self.first.kind])

@@ -1,14 +1,14 @@
 """Closed poses, projected twists and freedoms of a mechanism.
 
 All rows together are J V = ḣ, V the twists of all links. The nearest V is that of least kinetic
-energy (`lierb.model.mechanism.row_system.DecomposedRows`), even for redundant rows, which every
+energy (`lierb.model.mechanism.decomposition.DecomposedRows`), even for redundant rows, which every
 planar loop of revolute joints has. Each member of a batch is decomposed separately: its bits do not
 depend on the other members.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -18,10 +18,12 @@ from lierb.errors import PoseError, TwistError, body_label
 from lierb.kernels.groups import se3, so3
 from lierb.kernels.mechanics.constraints import residuals
 from lierb.kernels.mechanics.newton_euler import Pose
+from lierb.kernels.mechanics.rows import Row
 from lierb.kernels.mechanics.scale import START_TOLERANCE
 from lierb.kernels.numbers.arithmetic import absolute, plain, where
 from lierb.kernels.numbers.vec import Vec, add
-from lierb.model.acting import unfit_rate
+from lierb.model.acting import unfit_place, unfit_rate
+from lierb.model.mechanism.decomposition import summed
 from lierb.model.mechanism.row_system import (
     CLOSED,
     NEWTON_STEPS,
@@ -31,8 +33,6 @@ from lierb.model.mechanism.row_system import (
     name_of,
     one_of,
     reversed_joint,
-    summed,
-    velocity_of,
     wrong_way,
 )
 from lierb.support.arrays import Array, assembled, pose_components, pose_matrix
@@ -109,16 +109,16 @@ def _joined(parts: list[list[Array]], is_batch: bool) -> list[Array]:
 # ---- poses -------------------------------------------------------------------------------------
 
 
-def closed(mechanism: TreeKinematics, poses: list[Array]) -> list[Array]:
+def closed(mechanism: TreeKinematics, poses: list[Array], t0: float = 0.0) -> list[Array]:
     """Return the nearest poses that close all joints and loops; closed poses are unchanged."""
     parts = _parts(mechanism, [("pose", poses, 2)])
-    results = [_closed(part) for part in parts]
+    results = [_closed(part, t0) for part in parts]
     if not any(has_moved for _, has_moved in results):
         return poses
     return _joined([arrays for arrays, _ in results], parts[0].is_batch)
 
 
-def _closed(part: Part) -> tuple[list[Array], bool]:
+def _closed(part: Part, t0: float) -> tuple[list[Array], bool]:
     """Return the closed poses of a part, and whether any pose has changed.
 
     Newton's steps are damped by the squared residual (Levenberg, Marquardt). Convergence is then
@@ -128,8 +128,13 @@ def _closed(part: Part) -> tuple[list[Array], bool]:
     poses = [pose_components(pose) for pose in part.arrays]
     was_closed = np.zeros(system.count, dtype=bool)
     for step in range(NEWTON_STEPS + 1):
-        states = _without_velocity_rows(system.states(poses))
-        off = [residuals(s.at.rows, s.x, s.body) for s in states]
+        states = system.states(poses, None, np.float64(t0))
+        states = _with_rows(states, lambda r: r.is_holonomic or r.second is not None)
+        if step == 0:
+            first = states
+            if error := unfit_positions(states, t0):
+                raise error
+        off = [_residuals(s, before) for s, before in zip(states, first, strict=True)]
         is_closed = np.ones(system.count, dtype=bool)
         for s, values in zip(states, off, strict=True):
             for excess in _excesses(s, values):
@@ -160,12 +165,31 @@ def _closed(part: Part) -> tuple[list[Array], bool]:
     return arrays, bool(not was_closed.all())
 
 
-def _without_velocity_rows(states: list[ConnectionState]) -> list[ConnectionState]:
-    """Connections without rows on velocities, such as those of motors."""
+def _residuals(s: ConnectionState, before: ConnectionState) -> list[Any]:
+    """Values of a connection's rows; of a gear, relative to the mesh in the first pose."""
+    if s.second is None:
+        return residuals(s.at.rows, s.x, s.body)
+    pairs = (zip(s.parts(r), before.parts(r), strict=True) for r in s.at.rows)
     return [
-        s._replace(at=s.at._replace(rows=tuple(r for r in s.at.rows if r.is_holonomic)))
-        for s in states
+        sum(part.moved(now.x, then.x, now.body) for (now, part), (then, _) in pair)
+        for pair in pairs
     ]
+
+
+def _with_rows(
+    states: list[ConnectionState], is_kept: Callable[[Row], bool]
+) -> list[ConnectionState]:
+    """Connections with part of their rows."""
+    return [s._replace(at=s.at._replace(rows=tuple(filter(is_kept, s.at.rows)))) for s in states]
+
+
+def unfit_positions(states: list[ConnectionState], t0: float) -> PoseError | None:
+    """Error for the first position of a motor that is not finite at t0."""
+    errors = (
+        unfit_place(s.at.rows, [r.prescribed_place(s.x, s.body) for r in s.at.rows], t0)
+        for s in states
+    )
+    return next(filter(None, errors), None)
 
 
 def _excesses(s: ConnectionState, values: list[Any]) -> Iterator[Any]:
@@ -265,15 +289,8 @@ def _contradiction(label: str, connection: str) -> TwistError:
 
 def _rates(system: System, poses: list[Pose], twists: list[Vec], t0: float) -> Array:
     """Rates J V of the rows, (count, rows)."""
-    rates = []
-    for s in system.states(poses, twists, np.float64(t0)):
-        velocity = velocity_of(s.x)
-        for r in s.at.rows:
-            total: Any = 0.0
-            for a, b in zip(r.jacobian(s.x, s.body), velocity, strict=True):
-                total = total + a * b
-            rates.append(total)
-    return system.column(rates)
+    states = system.states(poses, twists, np.float64(t0))
+    return system.column([s.rate(r) for s in states for r in s.at.rows])
 
 
 def mobility(mechanism: TreeKinematics, poses: list[Array]) -> Mobility:
@@ -281,7 +298,8 @@ def mobility(mechanism: TreeKinematics, poses: list[Array]) -> Mobility:
     parts, counts = _parts(mechanism, [("pose", poses, 2)]), []
     for part in parts:
         system = System(part.mechanism, len(part.arrays[0]))
-        states = _without_velocity_rows(system.states([pose_components(x) for x in part.arrays]))
+        states = system.states([pose_components(x) for x in part.arrays])
+        states = _with_rows(states, lambda r: not r.depends_on_time)
         rows = system.decomposed(states)
         counts.append([rows.freedoms, rows.lengths.shape[1] - rows.ranks])
     numbers = _joined(counts, parts[0].is_batch)

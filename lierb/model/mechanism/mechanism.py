@@ -39,7 +39,7 @@ class Mechanism(TreeKinematics):
     forces : Force or iterable of Force, optional
         Forces made by `lierb.forces` and `lierb.wrench`.
     constraints : Constraint or iterable of Constraint, optional
-        Constraints made by `lierb.constraint`.
+        Constraints made by `lierb.constraint` and `lierb.velocity_constraint`.
     observables : Observable or iterable of Observable, optional
         Columns of the results, made by `lierb.observable`.
     events : Event or iterable of Event, optional
@@ -87,10 +87,10 @@ class Mechanism(TreeKinematics):
 
         Bodies keep their names and frames. Hinge, slide, ball and free joints become joints of the
         catalogue; several on one body become the joint that combines them, such as universal.
-        `equality/connect` and `weld` become loops. Springs and dampers of joints that keep their
-        axis become forces. `pose()` is the pose at qpos0. A LeftOutWarning lists the elements that
-        are left out: contacts, friction, actuators, tendons and others. Requires mujoco (the extra
-        `lierb[mjcf]`).
+        `equality/connect` and `weld` become loops, `equality/joint` gears. Springs and dampers of
+        joints that keep their axis become forces. `pose()` is the pose at qpos0. A LeftOutWarning
+        lists the elements that are left out: contacts, friction, actuators, tendons and others.
+        Requires mujoco (the extra `lierb[mjcf]`).
 
         Parameters
         ----------
@@ -129,7 +129,7 @@ class Mechanism(TreeKinematics):
         """Read the mechanism of a URDF file; its root link is the ground.
 
         Revolute and continuous, prismatic, fixed, planar and floating joints are read by MuJoCo's
-        compiler, as in `from_mjcf`.
+        compiler, as in `from_mjcf`. Mimics become gears.
 
         Parameters
         ----------
@@ -191,7 +191,7 @@ class Mechanism(TreeKinematics):
 
     # ---- closing ---------------------------------------------------------------------------------
 
-    def close(self, pose: ByLink) -> dict[str, Array]:
+    def close(self, pose: ByLink, *, t0: float = 0.0) -> dict[str, Array]:
         """Find poses near `pose` that close all joints and loops, by Newton's method.
 
         Every step is the motion of least kinetic energy that cancels the residuals, as in
@@ -202,6 +202,8 @@ class Mechanism(TreeKinematics):
         ----------
         pose : dict
             Poses of all links, (4, 4) or (n, 4, 4).
+        t0 : float, optional
+            Time at which the positions of motors are evaluated, s.
 
         Returns
         -------
@@ -211,7 +213,8 @@ class Mechanism(TreeKinematics):
         Raises
         ------
         PoseError
-            The iteration does not converge; the message has the largest residual and its joint.
+            The iteration does not converge; the message has the largest residual and its joint. Or
+            the position that a motor prescribes is not finite.
 
         Examples
         --------
@@ -234,7 +237,7 @@ class Mechanism(TreeKinematics):
         [-0.523599]
         """
         with np.errstate(all="ignore"):  # with an overflow it does not converge
-            poses = closed(self, self.pose_arrays("pose", pose))
+            poses = closed(self, self.pose_arrays("pose", pose), as_number("t0", t0))
         return self._checked("the closed pose", poses)
 
     def project(
@@ -249,7 +252,7 @@ class Mechanism(TreeKinematics):
         pose : dict, optional
             Poses of all links. Default: all coordinates 0.
         t0 : float, optional
-            Time at which the speeds of motors are evaluated, s.
+            Time at which the speeds and positions of motors are evaluated, s.
 
         Returns
         -------

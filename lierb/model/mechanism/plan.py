@@ -15,7 +15,7 @@ from lierb.kernels.mechanics.rows import FIXED
 from lierb.kernels.mechanics.subgroup import Slots, slots_of
 from lierb.kernels.mechanics.tree import FREE, GROUND, MASSLESS, NONE, Connection, Node
 from lierb.kernels.mechanics.tree_nodes import JointKind, Kind
-from lierb.kernels.systems.plan import MechanismPlan, Stabilisation
+from lierb.kernels.systems.plan import ConstraintKind, MechanismPlan, Stabilisation
 from lierb.kernels.systems.tree_table import joint_kind_of
 from lierb.kernels.tracing.cpu import DEFAULT_LANES
 from lierb.model.connections import NOWHERE
@@ -25,6 +25,8 @@ from lierb.model.joints.joint_type import JOINTS
 from lierb.model.mechanism.tree import Tree
 
 CSPACES = ("reduced", "SE3", "SO3xR3")
+# Joints of loops in all looped code with loops, which compiles 0.8 s longer.
+USUAL_LOOPS = ("revolute", "cylindrical", "spherical", "universal", "fixed")
 UNROLLED_NODES = 7  # with more, loops over the nodes are as fast as unrolled code, or faster
 
 
@@ -109,8 +111,9 @@ def mechanism_plan_of(
     for k, (element, c) in enumerate(zip(mechanism.elements, mechanism.places, strict=True)):
         number = numbers[element.at[0]] if element.kind.needs_axis else NONE
         hangs = number != NONE and joints[number].hangs
+        second = NONE if c.second == NOWHERE else c.second
         rows = tuple(element.kind.row(k, i) for i in range(element.kind.rows))
-        acting.append(Connection(nodes[c.body], nodes[c.parent], rows, hangs, number))
+        acting.append(Connection(nodes[c.body], nodes[c.parent], rows, hangs, number, second))
     plan = MechanismPlan(
         lanes=DEFAULT_LANES,
         tree=tuple(tree),
@@ -132,16 +135,12 @@ def why_unrolled(plan: MechanismPlan) -> str:
     reasons = {
         "links outside the reduced c-space": any(not n.is_reduced for n in plan.tree),
         "NUMBA_DISABLE_JIT": bool(numba.config.DISABLE_JIT),
-        "loops": plan.loops > 0,
         "joints whose motions are no group": any(node.rows for node in plan.tree),
-        "rows with multipliers": bool(plan.rows_with_multipliers),
-        "observables, states, events and controllers": any(e.is_passive for e in plan.elements),
         "functions that are called body by body": plan.calls_functions,
-        "stops, jumps and unknown functions of the pose, with adaptive steps": plan.has_lane_clocks
-        and any(e.bounds_steps or e.discontinuities for e in plan.elements),
+        "functions of accelerations": any(e.feels for e in plan.elements),
+        "gears": any(e.joints > 1 for e in plan.elements),
         f'update="{plan.update}"': plan.update != "local",
         "this method": not plan.is_explicit or plan.has_exponentials,
-        "stabilisation": plan.stabilisation.kind != "none",
     }
     return next((reason for reason, applies in reasons.items() if applies), "")
 
@@ -153,7 +152,9 @@ def looped(plan: MechanismPlan) -> MechanismPlan:
             f'solver="looped" does not support {reason}; leave solver out, for unrolled code'
         )
     own = (joint_kind_of(plan, i) for i in range(len(plan.tree)))
-    return replace(plan, joint_kinds=tuple(dict.fromkeys((*_catalogue(), *own))))
+    usual = tuple(ConstraintKind(JOINTS[name].rows) for name in USUAL_LOOPS if plan.loops)
+    kinds = tuple(dict.fromkeys((*_catalogue(), *own)))
+    return replace(plan, joint_kinds=kinds, usual_constraints=usual)
 
 
 @cache

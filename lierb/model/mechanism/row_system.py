@@ -1,9 +1,6 @@
 """Linear system J V = ḣ of all rows of a mechanism at a pose, V the twists of all links.
 
-There are two metrics: x = (ω, v/ℓ) of every link, v of its centre of mass and ℓ the mechanism's
-longest lever arm; and y, with ‖y‖² twice the kinetic energy. Redundancy depends on geometry alone:
-ranks are determined in x, with rows of length 1. Masses select among the motions that all rows
-allow.
+`lierb.model.mechanism.decomposition` solves it.
 """
 
 from __future__ import annotations
@@ -22,65 +19,30 @@ from lierb.kernels.mechanics.newton_euler import (
     Kinematics,
     Parameters,
     Pose,
-    inertia_about_com,
 )
+from lierb.kernels.mechanics.rows import Row
 from lierb.kernels.mechanics.scale import ROUNDING, bearings, length_of, rounding_of
-from lierb.kernels.numbers.arithmetic import maximum, plain, sqrt, where
+from lierb.kernels.numbers.arithmetic import maximum, plain, sqrt
 from lierb.kernels.numbers.vec import (
-    Mat,
     Vec,
     add,
     cross,
     cross_add,
-    diagonal,
-    dot,
-    mat_t_vec,
     mat_vec,
     neg,
     norm,
-    scale,
     sub,
 )
-from lierb.kernels.numbers.zero import ZERO
+from lierb.model.mechanism.decomposition import DecomposedRows, Metric
 from lierb.support.arrays import Array, assembled
 
 if TYPE_CHECKING:
     from lierb.model.connections import Connection
     from lierb.model.mechanism.kinematics import TreeKinematics
 
-# Bound between nonzero and zero singular values, relative to the largest. A start
-# may violate its joints by 1e-9, and redundant rows are then dependent only to that accuracy.
-RANK_TOLERANCE = 1e-7
 NEWTON_STEPS = 50  # starts that converge do so quadratically, in 4 to 6 steps
 CLOSED = 1e-13  # rad, or relative to the problem's length: residual due to rounding
 LEAST_GYRATION = 0.03  # least radius of gyration of a link in `close`, relative to its length
-
-
-class Metric:
-    """Kinetic energy of one link: Θ = LLᵀ, m and c."""
-
-    def __init__(self, p: Parameters, unit: Any, least: Any) -> None:
-        """unit : unit of y², kg m².   least : lower bound for the trace of the inertia, kg m²."""
-        inertia = inertia_about_com(p)
-        trace = inertia[0] + inertia[4] + inertia[8]
-        added = where(trace < least, least, 0.0 * trace)
-        self.lower = _cholesky(add(inertia, diagonal((added, added, added))))
-        self.com, self.root, self.unit = p.com, np.sqrt(p.mass), np.sqrt(unit)
-
-    def __call__(self, omega: Vec, moving: Vec) -> Vec:
-        """Compute y from angular velocity and velocity of the centre of mass."""
-        turning = mat_t_vec(self.lower, omega)
-        return scale(1.0 / self.unit, turning + scale(self.root, moving))
-
-
-def _cholesky(m: Mat) -> Mat:
-    """Factor L of m = LLᵀ, row by row."""
-    a = np.sqrt(m[0])
-    b, d = m[3] / a, m[6] / a
-    c = np.sqrt(m[4] - b * b)
-    e = (m[7] - d * b) / c
-    f = np.sqrt(m[8] - d * d - e * e)
-    return (a, ZERO, ZERO, b, c, ZERO, d, e, f)
 
 
 class ConnectionState(NamedTuple):
@@ -88,6 +50,7 @@ class ConnectionState(NamedTuple):
 
     length : the larger characteristic length of its two links, m.
     rounding : rounding of the distance between points that coincide, m.
+    second : state of the second joint, for rows that couple two.
     """
 
     at: Connection
@@ -96,6 +59,26 @@ class ConnectionState(NamedTuple):
     x: Kinematics
     length: Any
     rounding: Any
+    second: ConnectionState | None = None
+
+    def parts(self, row: Row) -> Iterator[tuple[ConnectionState, Any]]:
+        """Yield the joints that a row depends on, each with its part of the row."""
+        yield self, row
+        if row.second is not None:
+            assert self.second is not None
+            yield self.second, row.second
+
+    def rate(self, row: Row) -> Any:
+        """J V of a row."""
+        total: Any = 0.0
+        for s, part in self.parts(row):
+            for a, b in zip(part.jacobian(s.x, s.body), velocity_of(s.x), strict=True):
+                total = total + a * b
+        return total
+
+
+# Connection, its parameters and constants, and its length, which do not depend on poses
+Described = tuple[Any, Parameters, BodyConstants, Any]
 
 
 class System:
@@ -117,31 +100,45 @@ class System:
         ]
 
     @cached_property
-    def connections(self) -> list[tuple[Connection, Parameters, BodyConstants, Any]]:
-        """Connections with data that do not depend on poses: parameters, constants and length."""
-        mechanism, connections = self.mechanism, []
-        for at in mechanism.connections:
-            p = mechanism.parameters(at)
-            length = self.lengths[at.body] if at.joint is None else length_of(p)
-            if at.parent >= 0:
-                other = mechanism.parameters(mechanism.joints[at.parent])
-                if at.joint is not None:  # the arm from the parent's centre of mass to this joint
-                    other = other._replace(body=p.ground)
-                length = maximum(length, length_of(other))
-            connections.append((at, p, mechanism.constants(at), length))
-        return connections
+    def connections(self) -> list[Described]:
+        """Connections with data that do not depend on poses."""
+        return [self._described(at) for at in self.mechanism.connections]
+
+    @cached_property
+    def seconds(self) -> dict[int, Described]:
+        """Second joint of each connection that couples two, by the connection's index."""
+        joints = self.mechanism.joints
+        return {
+            i: self._described(joints[at.second]._replace(elements=at.elements))
+            for i, at in enumerate(self.mechanism.connections)
+            if at.second >= 0
+        }
+
+    def _described(self, at: Connection) -> Described:
+        mechanism, p = self.mechanism, self.mechanism.parameters(at)
+        length = self.lengths[at.body] if at.joint is None else length_of(p)
+        if at.parent >= 0:
+            other = mechanism.parameters(mechanism.joints[at.parent])
+            if at.joint is not None:  # the arm from the parent's centre of mass to this joint
+                other = other._replace(body=p.ground)
+            length = maximum(length, length_of(other))
+        return at, p, mechanism.constants(at), length
 
     def states(
         self, poses: list[Pose], twists: list[Vec] | None = None, t0: Any = 0.0
     ) -> list[ConnectionState]:
         """Return all connections at these poses and twists."""
-        states = []
-        for at, p, body, length in self.connections:
+
+        def state(at: Connection, p: Parameters, body: BodyConstants, length: Any) -> Any:
             x = self.kinematics(at, body, poses, twists)._replace(time=t0)
             rounding = rounding_of(p, poses[at.body])
             if at.parent >= 0:
                 rounding = rounding + ROUNDING * norm(poses[at.parent][1])
-            states.append(ConnectionState(at, p, body, x, length, rounding))
+            return ConnectionState(at, p, body, x, length, rounding)
+
+        states = [state(*described) for described in self.connections]
+        for i, described in self.seconds.items():
+            states[i] = states[i]._replace(second=state(*described))
         return states
 
     def kinematics(
@@ -173,8 +170,7 @@ class System:
         number = 0
         for s in states:
             for r in s.at.rows:
-                row = r.jacobian(s.x, s.body)
-                for link, wrench in self.wrenches(s.at, s.parameters, s.x, row).items():
+                for link, wrench in self._wrenches_of(s, r).items():
                     matrix[:, number, 6 * link : 6 * link + 6] = assembled(wrench)
                     if r.is_translational:
                         with np.errstate(all="ignore"):  # no force, no lever
@@ -185,7 +181,16 @@ class System:
         lever = np.where(levers > 0.0, levers, 1.0)
         for link in range(len(self.metrics)):
             matrix[:, :, 6 * link + 3 : 6 * link + 6] *= lever[:, None, None]
-        return DecomposedRows(self, matrix, lever)
+        return DecomposedRows(self.metrics, matrix, lever)
+
+    def _wrenches_of(self, s: ConnectionState, r: Row) -> dict[int, Vec]:
+        """Return a row as wrenches on all links that it depends on."""
+        total: dict[int, Vec] = {}
+        for each, part in s.parts(r):
+            row = part.jacobian(each.x, each.body)
+            for link, wrench in self.wrenches(each.at, each.parameters, each.x, row).items():
+                total[link] = add(total[link], wrench) if link in total else wrench
+        return total
 
     def column(self, numbers: list[Any]) -> Array:
         """Return numbers of all rows as an array, (count, rows)."""
@@ -195,131 +200,10 @@ class System:
         return column
 
 
-class Decomposed:
-    """Singular value decompositions of matrices A, (count, rows, n)."""
-
-    def __init__(self, matrix: Array) -> None:
-        u, self.values, self.vt = np.linalg.svd(matrix)
-        self.u = u[..., : self.values.shape[1]]
-        self.ranks = self.ranks_above(RANK_TOLERANCE)
-
-    def ranks_above(self, tolerance: float) -> Array:
-        """Return the number of singular values above this fraction of the largest one."""
-        kept = self.values > tolerance * self.values[:, :1]
-        ranks: Array = np.count_nonzero(kept, axis=1)
-        return ranks
-
-    def least(self, wanted: Array, damping: Array | float = 0.0) -> Array:
-        """Return the least x with A x = wanted, or the minimum of ‖A x − wanted‖² + damping ‖x‖².
-
-        wanted : (count, rows).   damping : (count,).
-        """
-        count = self.values.shape[1]
-        kept = np.arange(count) < self.ranks[:, None]
-        squares = self.values * self.values + np.reshape(damping, (-1, 1))
-        gains = np.where(kept, self.values, 0.0) / np.where(kept, squares, 1.0)
-        parts = gains * summed(np.swapaxes(self.u, 1, 2) * wanted[:, None, :])
-        return summed(np.swapaxes(self.vt[:, :count], 1, 2) * parts[:, None, :])
-
-
-class DecomposedRows(Decomposed):
-    """Decomposition of all rows, in x and scaled to length 1.
-
-    lengths : (count, rows), lengths before scaling.
-    """
-
-    def __init__(self, system: System, matrix: Array, lever: Array) -> None:
-        """matrix : (count, rows, 6 links), Jacobian with respect to x.   lever : ℓ, m, (count,)."""
-        lengths = np.sqrt(summed(matrix * matrix))
-        self.system, self.lever = system, lever
-        self.lengths = np.where(lengths == 0.0, 1.0, lengths)
-        super().__init__(matrix / self.lengths[..., None])
-
-    @property
-    def freedoms(self) -> Array:
-        """Dimension of the space of motions that all rows allow, (count,)."""
-        freedoms: Array = self.vt.shape[1] - self.ranks
-        return freedoms
-
-    @cached_property
-    def moving(self) -> Array:
-        """Motions `vt` in y, (count, n, n); those from index `ranks` on are free."""
-        return np.swapaxes(self._energetic(np.swapaxes(self.vt, 0, 1)), 0, 1)
-
-    def speed(self, twists: list[Vec]) -> Array:
-        """Return ‖x‖ of all links' twists, rad/s, (count,)."""
-        total: Any = 0.0
-        for twist, metric in zip(twists, self.system.metrics, strict=True):
-            moving = scale(1.0 / self.lever, cross_add(twist[:3], metric.com, twist[3:]))
-            total = total + dot(twist[:3], twist[:3]) + dot(moving, moving)
-        size: Array = np.sqrt(total)
-        return size
-
-    def lightest(self, wanted: Array, damping: Array | float = 0.0) -> list[Vec]:
-        """Return the twists of least kinetic energy with J V = wanted, for rows of length 1.
-
-        damping : as in `least`; it does not act on the free motions that are added.
-        """
-        x = self.least(wanted, damping)
-        y = self._energetic(x)
-        moving = self.moving
-        for rank in np.unique(self.ranks[self.freedoms > 0]):
-            these = self.ranks == rank
-            x[these] += _easing(self.vt[these, rank:], moving[these, rank:], y[these])
-        return [
-            omega + sub(velocity, cross(omega, metric.com))
-            for omega, velocity, metric in self._parts(x)
-        ]
-
-    def _parts(self, x: Array) -> Iterator[tuple[Vec, Vec, Metric]]:
-        """Angular velocity, velocity of the centre of mass and metric of every link."""
-        for i, metric in enumerate(self.system.metrics):
-            part = tuple(x[..., 6 * i + k] for k in range(6))
-            yield part[:3], scale(self.lever, part[3:]), metric
-
-    def _energetic(self, x: Array) -> Array:
-        """Convert x to y, (…, count, 6 links)."""
-        return np.concatenate([assembled(metric(*v)) for *v, metric in self._parts(x)], axis=-1)
-
-
-def _easing(free: Array, moving: Array, y: Array) -> Array:
-    """Combination of free motions with the least ‖y‖, (count, n).
-
-    free, moving : (count, freedoms, n), in x and in y.
-
-    With masses of different orders of magnitude the columns of y are nearly parallel, dominated by
-    the heaviest link. Gaussian elimination with complete pivoting gives columns that move lighter
-    and lighter links, and that are well-conditioned once scaled to length 1.
-    """
-    free, moving, (count, freedoms, n) = free.copy(), moving.copy(), free.shape
-    each = np.arange(count)
-    for j in range(freedoms):
-        largest = np.abs(moving[:, j:]).reshape(count, -1).argmax(axis=1)
-        column, row = j + largest // n, largest % n
-        for columns in (free, moving):
-            columns[each, column], columns[:, j] = columns[:, j].copy(), columns[each, column]
-        shares = moving[each, j + 1 :, row] / moving[each, j, row][:, None]
-        for columns in (free, moving):
-            columns[:, j + 1 :] -= shares[..., None] * columns[:, None, j]
-    sizes = np.sqrt(summed(moving * moving))
-    q, r = np.linalg.qr(np.swapaxes(moving / sizes[..., None], 1, 2))
-    parts = -summed(np.swapaxes(q, 1, 2) * y[:, None, :])
-    parts = np.linalg.solve(r, parts[..., None])[..., 0] / sizes
-    return summed(np.swapaxes(free, 1, 2) * parts[:, None, :])
-
-
 def _moved(frame: Pose, wrench: Vec) -> Vec:
     """Transform a wrench from a frame to the outer frame."""
     force = mat_vec(frame[0], wrench[3:])
     return cross_add(frame[1], force, mat_vec(frame[0], wrench[:3])) + force
-
-
-def summed(array: Array) -> Array:
-    """Sum over the last axis, in order; the order in `np.sum` depends on the batch."""
-    total = np.zeros(array.shape[:-1])
-    for i in range(array.shape[-1]):
-        total = total + array[..., i]
-    return total
 
 
 # ---- residuals and messages --------------------------------------------------------------------
@@ -344,6 +228,9 @@ def reversed_joint(mechanism: TreeKinematics, at: Connection, label: str) -> str
 def name_of(mechanism: TreeKinematics, at: Connection) -> str:
     """Name of a connection in messages."""
     ends = " to ".join(mechanism.names[i] if i >= 0 else "ground" for i in (at.body, at.parent))
+    if at.second >= 0:
+        (element,) = at.elements
+        return f"{at.name} ({' and '.join(mechanism.elements[element].at)})"
     if at.joint is None or at.elements:
         return f"{at.name} ({ends})"
     what = "joint of" if at.name == mechanism.names[at.body] else "loop"

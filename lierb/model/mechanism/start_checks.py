@@ -16,14 +16,15 @@ from lierb.errors import (
     body_label,
 )
 from lierb.kernels.groups import so3
-from lierb.kernels.mechanics.constraints import rate_errors_squared
+from lierb.kernels.mechanics.constraints import squares_by_kind
 from lierb.kernels.mechanics.newton_euler import SE3
+from lierb.kernels.mechanics.rows import Rows
 from lierb.kernels.mechanics.scale import ROUNDING, START_TOLERANCE, length_of, rounding_of
 from lierb.kernels.numbers.arithmetic import absolute, plain, sqrt
-from lierb.kernels.numbers.vec import Vec, cross_add, dot, norm, sub
+from lierb.kernels.numbers.vec import Vec, cross_add, norm, sub
 from lierb.model.acting import unfit_rate
 from lierb.model.base import Model
-from lierb.model.mechanism.closing import closed, mobility
+from lierb.model.mechanism.closing import closed, mobility, unfit_positions
 from lierb.model.mechanism.kinematics import TreeKinematics
 from lierb.model.mechanism.row_system import (
     ConnectionState,
@@ -31,7 +32,6 @@ from lierb.model.mechanism.row_system import (
     errors_of,
     name_of,
     one_of,
-    velocity_of,
     wrong_way,
 )
 from lierb.support.arrays import Array, as_poses, components, items_at, pose_components
@@ -93,8 +93,8 @@ def _start_of_body(model: Model, poses: Array, twists: Array, t0: float, members
     state = ConnectionState(at._replace(rows=rows), p, body, x, length_of(p), rounding_of(p, pose))
     added = [element.name for element in model.elements if element.kind.rows]
     closing = (
-        "problem.close(pose0) finds a pose near by that does"
-        if model.constraints
+        f"problem.close(pose0{_at_time(rows, t0)}) finds a pose near by that does"
+        if any(r.is_holonomic and not r.is_of_joint for r in rows)
         else "leave pose0 out for the closed joint, or give the joint frames that it closes"
     )
     return Start(
@@ -104,7 +104,8 @@ def _start_of_body(model: Model, poses: Array, twists: Array, t0: float, members
         members=members,
         turned="pose0",
         closing=lambda member: closing,
-        projecting="problem.project(twist0, pose0) is the nearest twist that the joint allows",
+        projecting=f"problem.project(twist0, pose0{_at_time(rows, t0)}) is the nearest twist that "
+        "the joint allows",
     )
 
 
@@ -124,11 +125,21 @@ def start_of_mechanism(mechanism: TreeKinematics, pose: Any, twist: Any, t0: flo
     for velocity, metric, length in zip(moving, system.metrics, system.lengths, strict=True):
         speed = speed + speed_of(velocity, metric.com, length)
 
-    def closing(member: int) -> str:
-        return _effect_of_closing(mechanism, pose, member)
+    rows = tuple(r for _, h in joints for r in h.at.rows)
 
-    projecting = "mechanism.project(twist0, pose0) is the nearest twist that all joints allow"
+    def closing(member: int) -> str:
+        return _effect_of_closing(mechanism, pose, member, rows, t0)
+
+    projecting = (
+        f"mechanism.project(twist0, pose0{_at_time(rows, t0)}) is the nearest twist that all "
+        "joints allow"
+    )
     return Start(joints, speed, t0, Members(0, count, count), "a link", closing, projecting)
+
+
+def _at_time(rows: Rows, t0: float) -> str:
+    """Argument t0 in a call that a message advises, if the rows depend on time."""
+    return f", t0={t0:g}" if t0 != 0.0 and any(r.depends_on_time for r in rows) else ""
 
 
 def speed_of(twist: Vec, com: Vec, length: Any) -> Any:
@@ -146,6 +157,8 @@ def violation_of(start: Start) -> LierbError | None:
 
 
 def _pose_violation(start: Start, name: str, h: ConnectionState) -> PoseError | None:
+    if unfit := unfit_positions([h], start.time):
+        return unfit
     for member in wrong_way(h, start.members.size)[:1].tolist():
         return PoseError(
             f"{start.members.label('pose0', member)} holds {name} the wrong way round, half a turn "
@@ -175,8 +188,8 @@ def _twist_violation(start: Start, name: str, h: ConnectionState) -> TwistError 
     rates = [r.prescribed_rate(h.x, h.body) for r in h.at.rows]
     if unfit := unfit_rate(h.at.rows, rates, start.time):
         return unfit
-    velocity = velocity_of(h.x)
-    sizes = map(sqrt, map(plain, rate_errors_squared(h.at.rows, h.x, h.body, velocity)))
+    off = [h.rate(r) - rate for r, rate in zip(h.at.rows, rates, strict=True)]
+    sizes = map(sqrt, map(plain, squares_by_kind(h.at.rows, off)))
     for what, unit, size, allowed in zip(
         ("velocity", "rotation rate"), ("m/s", "rad/s"), sizes, _rate_tolerances(h, start.speed),
         strict=True,
@@ -187,8 +200,8 @@ def _twist_violation(start: Start, name: str, h: ConnectionState) -> TwistError 
             if not max(error, most) < np.inf:
                 return TwistError(beyond_numbers(label, what))
             residuals = ", ".join(
-                f"{r}: {one_of(dot(r.jacobian(h.x, h.body), velocity) - rate, member):.3g}"
-                for r, rate in zip(h.at.rows, rates, strict=True)
+                f"{r}: {one_of(error, member):.3g}"
+                for r, error in zip(h.at.rows, off, strict=True)
                 if r.is_translational == (what == "velocity")
             )
             return TwistError(
@@ -210,7 +223,7 @@ def _rate_tolerances(h: ConnectionState, speed: Any) -> tuple[Any, Any]:
     position = START_TOLERANCE * h.length + h.rounding
     ahead = sqrt(norm(h.parameters.gravity) / h.length)
     for r in h.at.rows:
-        if not r.is_holonomic:
+        if r.depends_on_time:
             ahead = ahead + sqrt(absolute(plain(r.acceleration(h.x, h.body))))
     brought = ROUNDING * ahead
     return (
@@ -219,28 +232,29 @@ def _rate_tolerances(h: ConnectionState, speed: Any) -> tuple[Any, Any]:
     )
 
 
-def _effect_of_closing(mechanism: TreeKinematics, pose: Any, member: int) -> str:
+def _effect_of_closing(
+    mechanism: TreeKinematics, pose: Any, member: int, rows: Rows, t0: float
+) -> str:
     """Describe how far `close` would move the links of one member."""
+    call = f"mechanism.close(pose0{_at_time(rows, t0)})"
     own = {name: items_at(as_poses("pose0", pose[name]), member, 2) for name in mechanism.names}
     alone = mechanism.of_body(member) if mechanism.batch_size() else mechanism
     try:
-        near = closed(alone, list(own.values()))
+        near = closed(alone, list(own.values()), t0)
     except LierbError as error:
-        return f"mechanism.close(pose0) does not help: {error}"
+        return f"{call} does not help: {error}"
     far, turned = 0.0, 0.0
     for before, after in zip(own.values(), near, strict=True):
         (q, d), (r, e) = pose_components(before), pose_components(after)
         far = max(far, float(norm(sub(e, d))))
         turned = max(turned, float(norm(so3.log(so3.compose(so3.inverse(q), r)))))
-    return (
-        f"mechanism.close(pose0) closes it, and moves links by up to {far:.3g} m and "
-        f"{turned:.3g} rad"
-    )
+    return f"{call} closes it, and moves links by up to {far:.3g} m and {turned:.3g} rad"
 
 
 def immobile(mechanism: TreeKinematics, pose: Any) -> ArgumentError | None:
     """Return an error if loops and constraints leave no degree of freedom, or None."""
-    if not any(at.rows and at.joint is None for at in mechanism.places) and not mechanism.loops:
+    added = (r for at in mechanism.places for r in at.rows)
+    if all(r.depends_on_time for r in added) and not mechanism.loops:
         return None
     poses = [as_poses("pose0", pose[name]) for name in mechanism.names]
     free, redundant = map(np.atleast_1d, mobility(mechanism, poses))

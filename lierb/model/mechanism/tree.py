@@ -9,9 +9,9 @@ from typing import Any
 
 from numpy.typing import ArrayLike
 
-from lierb.errors import ArgumentError, items_of, unknown_name
+from lierb.errors import ArgumentError, ForceError, items_of, unknown_name
 from lierb.kernels.mechanics.rows import Rows
-from lierb.model.acting import require, require_fit
+from lierb.model.acting import fitted, require
 from lierb.model.base import Model
 from lierb.model.bodies.body import Body
 from lierb.model.connections import NOWHERE, Connection
@@ -202,12 +202,16 @@ class Tree(Model):
     def places(self) -> tuple[Connection, ...]:
         """Connection at which each element acts, with the rows that the element adds."""
         joints = {c.name: c for c in self.joints}
+        numbers = {c.name: i for i, c in enumerate(self.joints)}
         places = []
         for i, element in enumerate(self.elements):
             rows = tuple(element.kind.row(0, j) for j in range(element.kind.rows))
             if element.kind.needs_axis:
-                at = joints[element.at[0]]
-                places.append(at._replace(name=element.name, rows=rows, elements=(i,)))
+                at, second = joints[element.at[0]], NOWHERE
+                if element.kind.joints == 2:
+                    second = numbers[element.at[1]]
+                added = at._replace(name=element.name, rows=rows, elements=(i,), second=second)
+                places.append(added)
             else:
                 body, parent = (*element.at, GROUND)[:2]
                 ends = self.numbers[body], self.numbers[parent]
@@ -240,8 +244,12 @@ class Tree(Model):
                 )
             element = replace(element, at=self.names)
         if element.kind.needs_axis:
-            self._require_joint(label, element)
-            return element
+            return self._on_joint(label, element)
+        if len(element.at) > 1 and element.kind.feels:
+            raise ForceError(
+                f"{label}, {element.name}, takes accelerations, which are relative to the ground, "
+                f"but is on two links; place it by .on({element.at[0]!r})"
+            )
         others = [x for x in (*self.names, GROUND) if x != element.at[0]]
         for name, known in zip(element.at, (self.names, others), strict=False):
             if name not in known:
@@ -249,17 +257,23 @@ class Tree(Model):
         element.require_unchanged()
         return element
 
-    def _require_joint(self, label: str, element: Element) -> None:
+    def _on_joint(self, label: str, element: Element) -> Any:
         owners = {x.name: x.joint for x in self.links_and_loops}
-        if len(element.at) > 1:
+        if len(element.at) > element.kind.joints:
             raise ArgumentError(
                 f"{label}, {element.name}, is on {' and '.join(element.at)}, but acts about the "
                 f"axis of one joint; place it by .on({element.at[0]!r}) on the joint of that link"
             )
-        (name,) = element.at
-        if name not in owners:
-            raise unknown_name(f"{label}, {element.name}: on", name, owners)
-        require_fit(element, owners[name])
+        for name in element.at:
+            if name not in owners:
+                raise unknown_name(f"{label}, {element.name}: on", name, owners)
+        if len(element.at) < element.kind.joints:
+            others = [name for name in owners if name not in element.at] or ["another"]
+            raise ArgumentError(
+                f"{label}, {element.name}, is on {element.at[0]} alone, but couples two joints; "
+                f"place it by .on({element.at[0]!r}, {others[0]!r}) or the like"
+            )
+        return fitted(element, *(owners[name] for name in element.at))
 
     # ---- interface of a model --------------------------------------------------------------------
 

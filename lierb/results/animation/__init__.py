@@ -1,4 +1,4 @@
-"""Animations of trajectories: one HTML file or a notebook cell, without a network.
+"""Animations of trajectories are one HTML file or a notebook cell, without a network.
 
 `scene` converts a result to plain data; `page` inserts these into `player.html` with `player.js`.
 """

@@ -1,4 +1,4 @@
-"""Joints of a scene: frames, axes of rotation and sliding, and gaps."""
+"""A scene shows joints by frames, axes of rotation and sliding, and gaps."""
 
 from __future__ import annotations
 

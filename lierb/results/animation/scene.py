@@ -153,7 +153,7 @@ def poses_of(history: pa.Table, count: int, number: int, rows: Array, prefix: st
 
 
 class Linked(NamedTuple):
-    """Drawn body: prefix of its columns, and its joint points, that of its own joint first."""
+    """A drawn body has a prefix of its columns, and joint points, that of its own joint first."""
 
     name: str
     prefix: str

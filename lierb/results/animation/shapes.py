@@ -1,4 +1,4 @@
-"""Shapes of bodies: the user's, or the box or cylinder of equal mass and inertia."""
+"""The shape of a body is the user's, or the box or cylinder of equal mass and inertia."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ NORMALS = ((0, 1), (0, -1), (1, 1), (1, -1), (2, 1), (2, -1))  # (axis, sign) of
 
 @dataclass(frozen=True)
 class Shape:
-    """A surface of flat faces in the body's axes.
+    """A shape is a surface of flat faces in the body's axes.
 
     Attributes
     ----------

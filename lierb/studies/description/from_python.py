@@ -10,7 +10,7 @@ from typing import Any
 
 from lierb.errors import ArgumentError, StudyError, brief, unknown_name
 from lierb.kernels.functions.function import Function
-from lierb.kernels.mechanics.elements import INITIAL
+from lierb.kernels.mechanics.elements import INITIAL, TurnCounter
 from lierb.kernels.mechanics.rows import parameters_of
 from lierb.kernels.systems.plan import Stabilisation
 from lierb.model import forces
@@ -267,15 +267,16 @@ def _element(element: Element, code: dict[str, str]) -> dict[str, Any]:
         for name, array in element.parameters.items()
     }
     placed = {"on": list(element.at)} if element.at else {}
+    if isinstance(element.kind, TurnCounter):
+        return {"type": "turns", "name": element.name, **parameters, **placed}
     if element.made_by is None:
         if any(isinstance(f, Function) for f in element.kind.functions):
             raise StudyError(
                 f"{element.name} is made of a function of time, which no file can name; write it "
                 "with @lierb.wrench in a file"
             )
-        if isinstance(element.kind, forces.BodyWrench):
-            parameters["frame"] = "body"
-        return {"type": element.name, **parameters, **placed}
+        assert isinstance(element.kind, forces.BuiltIn)
+        return {"type": element.name, **parameters, **element.kind.options, **placed}
     file, text, name = source_of(element.made_by)
     if code.setdefault(file, text) != text:
         raise StudyError(f"two different files are called {file}; rename one of them")

@@ -105,7 +105,7 @@ def started_mechanism(
     }
     is_tree = _is_a_tree(mechanism)
     if close == AUTO and not is_tree:
-        poses = mechanism.close(poses)
+        poses = mechanism.close(poses, t0=t0)
     with np.errstate(all="ignore"):
         moving = _twists(mechanism, initial, poses)
     twists = {

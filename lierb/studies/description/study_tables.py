@@ -162,6 +162,9 @@ def _later_keys(tables: dict[str, Any]) -> Iterator[tuple[dict[str, Any], tuple[
             yield element, ("on",)
     if tables.get("joint"):
         yield tables["joint"], ("parent_point", "parent_frame")
+    for each in (tables, *tables["problem"].get("links", [])):
+        if each.get("body"):
+            yield each["body"], ("about",)
 
 
 def _with_defaults(tables: Any) -> Any:

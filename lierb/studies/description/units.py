@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from lierb.kernels.mechanics.elements import TurnCounter
 from lierb.model import forces
 from lierb.model.joints.joint import Joint
 from lierb.model.mechanism.mechanism import Mechanism
@@ -34,10 +35,13 @@ def unit_of(quantity: str, study: Study, problem: Problem | Mechanism) -> str:
     if table == "states":
         labels = [each.label for each in study.problem.states]
         states = problem.states[labels.index(label)]
+        if isinstance(states.kind, TurnCounter):
+            return states.units[states.name] if key == "start" else ""
         return states.units.get(key, "1") if key in dict(states.columns) else ""
     if table in ELEMENTS:
-        types = {f"{table}.{each.label}": each.type for table, each in study.problem.elements()}
-        return forces.FORCE_UNITS.get(types[section], {}).get(key, "")
+        labels = [each.label for each in getattr(study.problem, table)]
+        kind = getattr(problem, table)[labels.index(label)].kind
+        return kind.unit_of(key) if isinstance(kind, forces.BuiltIn) else ""
     if key in ("coordinates", "velocities"):
         names = joint_of(quantity, problem).coordinate_names
         of_each = ["m" if name[0] in "ds" else "rad" for name in names]

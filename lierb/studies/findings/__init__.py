@@ -1,1 +1,1 @@
-"""Statistics of a study's results."""
+"""Compute statistics of a study's results."""

@@ -1,4 +1,4 @@
-"""Rows and columns of a study's tables that findings and figures read."""
+"""Select the rows and columns of a study's tables that findings and figures read."""
 
 from __future__ import annotations
 

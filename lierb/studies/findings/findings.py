@@ -41,7 +41,7 @@ NEGLIGIBLE = 1e-18  # largest error that counts as zero, relative to the problem
 
 @dataclass(frozen=True)
 class SettingErrors:
-    """Errors of the bodies in one setting of a study.
+    """Hold the errors of the bodies in one setting of a study.
 
     bodies : number of finished bodies.   failed : number of those whose status is not ok.
     quantiles : of each of ERRORS, at QUANTILES, and the largest, over the bodies that are ok; NaN
@@ -142,6 +142,6 @@ def errors_seen(dataset: Results, study: Study) -> dict[str, str]:
 
 
 def least_drawn(dataset: Results, study: Study) -> dict[str, float]:
-    """Least error of each kind that a logarithmic axis shows."""
+    """Return the least error of each kind that a logarithmic axis shows."""
     sizes = [sizes_of(dataset, study, setting) for setting in study.settings]
     return {kind: NEGLIGIBLE * (min(s[kind] for s in sizes) or 1.0) for kind in ERRORS}

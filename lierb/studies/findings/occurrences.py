@@ -18,7 +18,7 @@ from lierb.support.arrays import Array
 
 
 class Occurred(NamedTuple):
-    """Event in one setting, over the bodies that did not fail.
+    """Count an event in one setting, over the bodies that did not fail.
 
     crossings : in all bodies.   bodies : number of those with a crossing, out of `of`.
     first : quantiles of the time of a body's first crossing, s; ∞ for a body without one.

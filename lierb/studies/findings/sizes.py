@@ -61,5 +61,5 @@ def sizes_of(dataset: Results, study: Study, setting: Setting) -> dict[str, floa
 
 
 def _prefixes(links: list[str]) -> list[str]:
-    """Prefixes of the names of the state's columns."""
+    """Return the prefixes of the names of the state's columns."""
     return [f"{name}." for name in links] or [""]

@@ -30,7 +30,7 @@ MOST_NUMBERS = 2**24  # most numbers read at once from a history: 128 MB
 
 
 class Spread(NamedTuple):
-    """Quantiles of a quantity over the bodies in one setting.
+    """Hold the quantiles of a quantity over the bodies in one setting.
 
     bodies : number of ok bodies with a number.   undefined : number of ok bodies with NaN.
     """
@@ -143,7 +143,7 @@ LEAST_ROWS = 4
 
 
 class _Index(NamedTuple):
-    """Index with its confidence interval."""
+    """Hold an index with its confidence interval."""
 
     value: float
     low: float
@@ -151,7 +151,7 @@ class _Index(NamedTuple):
 
 
 class Sensitivity(NamedTuple):
-    """Shares of a column's variance that a sampled quantity accounts for, in one setting.
+    """A sampled quantity accounts for shares of a column's variance, in one setting.
 
     first : of the quantity alone.   total : with its interactions. NaN if all bodies have the same
         value, or too few bodies are ok.

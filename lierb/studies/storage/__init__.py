@@ -1,1 +1,1 @@
-"""The study folder: parts, manifest and stored files."""
+"""The study folder holds parts, manifest and stored files."""

@@ -1,4 +1,4 @@
-"""Parquet files of a part: their content, and their names in the folder."""
+"""The Parquet files of a part have contents, and names in the folder."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ PARQUET = b"PAR1"  # first bytes of a Parquet file
 
 @dataclass(frozen=True)
 class File:
-    """Content of a part's file.
+    """Hold the content of a part's file.
 
     path : in the folder.   failed : number of failed trajectories by status.
     """
@@ -33,7 +33,7 @@ class File:
 
 @dataclass(frozen=True)
 class Stored:
-    """File that is synced to the folder under the name `aside`, which readers skip.
+    """A stored file is synced to the folder under the name `aside`, which readers skip.
 
     path, failed : as in File.
     """
@@ -66,7 +66,7 @@ def part_named(file: str) -> str | None:
 
 
 def parquet_in(folder: Path) -> Iterator[str]:
-    """Return all Parquet files in the tables' folders that a reader of the folder opens."""
+    """Yield all Parquet files in the tables' folders that a reader of the folder opens."""
     for table in TABLES:
         for root, inner, files in os.walk(folder / table):
             inner[:] = [name for name in inner if name[0] not in "._"]

@@ -35,7 +35,7 @@ EVENTS_FORESEEN = 10  # assumed crossings of each event in a trajectory
 
 @dataclass(frozen=True)
 class Part:
-    """Range of bodies in one setting of a study."""
+    """A part is a range of bodies in one setting of a study."""
 
     name: str
     setting: Setting
@@ -43,7 +43,7 @@ class Part:
     count: int
 
     def work(self, study: Study) -> int:
-        """Amount of work, in body-steps, or in shares of trajectories that have their own steps."""
+        """Return the work in body-steps, or in shares of trajectories with steps of their own."""
         if study.has_lane_clocks:
             return self.count * SHARES
         run = study.integrate
@@ -142,7 +142,7 @@ class Parts:
         return self._bodies * len(self._settings)
 
     def work(self, names: Iterable[str] | None = None) -> int:
-        """Amount of work of the parts of these names, by default of all; see `Part.work`."""
+        """Return the work of the parts of these names, by default of all; see `Part.work`."""
         if names is None:
             counted = [Part("", setting, 0, self._bodies) for setting in self._settings]
         else:
@@ -169,7 +169,7 @@ def part_size(study: Study) -> int:
 
 
 def bytes_of_body(study: Study) -> int:
-    """Bytes of a trajectory's rows in `history` and `events`, if each has its own clock."""
+    """Return the bytes of a trajectory's `history` and `events`, if each has its own clock."""
     run, problem = study.integrate, study.batch(0, 1).problem
     each = (LABEL_BYTES + event_row_bytes(problem)) * EVENTS_FORESEEN * len(problem.events)
     return each + saved_rows(study) * (LABEL_BYTES + history_row_bytes(problem, run.record))

@@ -33,7 +33,7 @@ def setting_columns(schema: pa.Schema) -> list[str]:
 
 
 class Results(Represented):
-    """Finished parts of the study in a folder.
+    """The results are the finished parts of the study in a folder.
 
     Parameters and errors are those of `lierb.studies.dataset.Dataset`.
     """
@@ -45,13 +45,13 @@ class Results(Represented):
 
     @property
     def parts(self) -> dict[str, Any]:
-        """Finished parts, by name."""
+        """Return the finished parts, by name."""
         parts: dict[str, Any] = self.manifest.get("parts", {})
         return parts
 
     @property
     def changes(self) -> dict[str, Any]:
-        """Changes of the study's file with which it was run, by dotted keys."""
+        """Return the changes of the study's file with which it was run, by dotted keys."""
         changes: dict[str, Any] = self.manifest.get("set", {})
         return changes
 
@@ -89,7 +89,7 @@ class Results(Represented):
         return path.read_text(encoding="utf-8")
 
     def code(self) -> Code:
-        """Texts of the Python files that the results were made with.
+        """Return the texts of the Python files that the results were made with.
 
         Raises StudyError where one is missing or was edited since.
         """
@@ -99,7 +99,7 @@ class Results(Represented):
         return read_code(self.folder, digests)
 
     def _missing_code(self, digests: Mapping[str, str]) -> list[str]:
-        """Names of the Python files that are missing. Raises StudyError for an edited one."""
+        """List the Python files that are missing. Raises StudyError for an edited one."""
         for file, digest in digests.items():
             path = self.folder / file
             if os.path.lexists(path) and sha256_of(path) != digest:
@@ -168,7 +168,7 @@ class Results(Represented):
 
     @property
     def is_complete(self) -> bool:
-        """True if no part is missing."""
+        """Return whether no part is missing."""
         return bool(self.manifest.get("stopped")) or len(self.parts) == self.manifest["asked"]
 
     @property

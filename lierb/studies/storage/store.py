@@ -48,7 +48,7 @@ QUICK_SECONDS = 0.05  # time to write a manifest that is not large
 
 
 class Store(Results):
-    """Results of a study that is being run.
+    """A store holds the results of a study that is being run.
 
     Parameters and errors are those of `lierb.studies.dataset.Dataset`.
     """
@@ -199,7 +199,7 @@ class Store(Results):
                         Path(entry.path).unlink(missing_ok=True)
 
     def strays(self) -> list[str]:
-        """Parquet files in the tables' folders that the manifest does not enter, sorted."""
+        """List Parquet files in the tables' folders that the manifest does not enter, sorted."""
         entered = {file for files in self.parts.values() for file in files}
         return sorted(set(parquet_in(self.folder)) - entered)
 

@@ -32,6 +32,7 @@ class BodySection(Section):
     inertia: Numbers | None = None
     second_moments: Vector | None = None
     com: Vector | None = None
+    about: Literal["origin", "com"] | None = None
     size: Vector | None = None
     radius: float | None = None
     length: float | None = None

@@ -10,6 +10,7 @@ from pydantic_core import PydanticCustomError
 
 from lierb.errors import StudyError
 from lierb.model import forces
+from lierb.model.functions.turns import turns
 from lierb.studies.description.code import EXPECTED, PATTERN, Code, function_of, named
 from lierb.studies.description.messages import called
 from lierb.studies.description.sections.bodies import LinkSection, LoopSection
@@ -28,6 +29,10 @@ def _type_of_force(given: str) -> str:
     raise PydanticCustomError("type_of_force", f"input should be {known} or {EXPECTED}")
 
 
+def _type_of_states(given: str) -> str:
+    return given if given == TURNS else _type_of_function(given)
+
+
 def _type_of_function(given: str) -> str:
     if named(given):
         return given
@@ -35,6 +40,8 @@ def _type_of_function(given: str) -> str:
 
 
 OF_FUNCTION = {"type": "string", "pattern": PATTERN}
+TURNS = turns.__name__  # type of states that count turns
+OF_STATES = {"anyOf": [{"enum": [TURNS], "type": "string"}, OF_FUNCTION]}
 OF_FORCE = {"anyOf": [{"enum": [*forces.FORCE_UNITS], "type": "string"}, OF_FUNCTION]}
 
 
@@ -89,7 +96,7 @@ class ForceSection(ElementSection):
 
 
 class ConstraintSection(ElementSection):
-    """Function with `@lierb.constraint` in a file beside the study."""
+    """Function with `@lierb.constraint` or `@lierb.velocity_constraint` beside the study."""
 
     table = "constraints"
 
@@ -107,9 +114,22 @@ class EventSection(ColumnSection):
 
 
 class StatesSection(ElementSection):
-    """Function with `@lierb.states` in a file beside the study, and initial values."""
+    """Function with `@lierb.states` in a file beside the study, and initial values.
+
+    With `type = "turns"`, the angle of a joint that counts turns, from `start`; `name` is that of
+    its column.
+    """
 
     table = "states"
+    type: Annotated[str, AfterValidator(_type_of_states), WithJsonSchema(OF_STATES)]
+
+    def make(self, sampled: dict[str, Array], code: Code) -> Any:
+        if self.type != TURNS:
+            return super().make(sampled, code)
+        named = {"name": self.name} if self.name else {}
+        values = dict(self.model_extra or {}) | sampled | named
+        made = called(f"{self.table}.{self.label}", turns, values)
+        return made.on(*self.on) if self.on else made
 
 
 class ControllerSection(ElementSection):

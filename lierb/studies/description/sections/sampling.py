@@ -115,7 +115,7 @@ SHAPES: dict[str, tuple[int, ...]] = dict.fromkeys(NUMBERS, ()) | {
 KEYS: dict[str, tuple[str, ...]] = {
     "problem": ("gravity",),
     "initial": tuple(k for k in InitialSection.model_fields if k != "close"),
-    "body": tuple(k for k in BodySection.model_fields if k != "solid"),
+    "body": tuple(k for k in BodySection.model_fields if k not in ("solid", "about")),
     "joint": tuple(k for k in JointSection.model_fields if k not in NOT_DRAWN),
 }
 KEYS_OF_LINK = KEYS | {"initial": tuple(LinkStart.model_fields)}

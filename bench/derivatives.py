@@ -1,0 +1,86 @@
+"""CPU time of runs with derivatives as multiples of the same runs without them.
+
+python bench/derivatives.py              print the table of docs/howto/derivatives.md
+
+All runs of a row take turns in one process, on one thread; the least CPU times are compared. It
+takes about two minutes, most of them to compile.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import lierb
+
+sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
+
+from cases import top
+from mechanisms.shared import double_pendulum
+
+COUNT, REPEATS = 2048, 5
+Run = Callable[..., lierb.Result]
+
+
+def runs() -> dict[str, tuple[Run, dict[int, list[str]]]]:
+    """Return runs by title, each with the parameters of k directions."""
+    problem, twist = top()
+    spread = problem.joint.twist(omega=np.random.default_rng(0).normal(size=(COUNT, 3)))
+    pendulum = double_pendulum()
+    angles = np.linspace(0.0, 0.1, COUNT)[:, None]
+    hanging = {"pose0": pendulum.pose({"upper": np.pi / 2 + angles})}
+    hanging["twist0"] = pendulum.twist({}, pendulum.pose())
+    of_body = {1: ["body.mass"], 3: ["omega0"], 12: ["omega0", "body.com", "body.inertia"]}
+    of_links = {
+        1: ["lower.body.mass"], 3: ["lower.body.com"],
+        12: ["lower.omega0", "lower.body.com", "lower.body.inertia"],
+    }  # fmt: skip
+
+    def turning(**options: Any) -> Run:
+        return lambda **more: lierb.integrate(
+            problem, twist0=twist + spread, t_end=0.99, threads=1, **options, **more
+        )
+
+    def swinging(**options: Any) -> Run:
+        return lambda **more: lierb.integrate(
+            pendulum, **hanging, t_end=0.5, threads=1, **options, **more
+        )
+
+    return {
+        "heavy top, RK4, constant gain": (turning(dt=1e-3), of_body),
+        "heavy top, RK4, saddle point": (turning(dt=1e-3, solver="saddle"), of_body),
+        "heavy top, DOP853, rtol 1e-8": (turning(rtol=1e-8), of_body),
+        "double pendulum, RK4": (swinging(dt=1e-3), of_links),
+        "double pendulum, DOP853, rtol 1e-8": (swinging(rtol=1e-8), of_links),
+    }
+
+
+def ratios(run: Run, parameters: dict[int, list[str]]) -> list[float]:
+    """Return the CPU times with k directions, as multiples of that without."""
+    calls = [(), *parameters.values()]
+    for names in calls:
+        run(with_respect_to=names)  # compile
+    least = [float("inf")] * len(calls)
+    for _ in range(REPEATS):
+        for i, names in enumerate(calls):
+            began = time.process_time()
+            run(with_respect_to=names)
+            least[i] = min(least[i], time.process_time() - began)
+    return [seconds / least[0] for seconds in least[1:]]
+
+
+def main() -> None:
+    print(f"{lierb.info()['cpu']}, {COUNT} trajectories, one thread")
+    print("| | k = 1 | 3 | 12 |\n|---|---|---|---|")
+    for title, (run, parameters) in runs().items():
+        cells = " | ".join(f"{ratio:.1f}" for ratio in ratios(run, parameters))
+        print(f"| {title} | {cells} |", flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,157 @@
+"""Measure variational and generalised α methods, for docs/howto/structure.md.
+
+python bench/structure_preserving.py       measure, store, print the tables
+
+Errors on the heavy top of Brüls and Cardona; steps a second beside RK4; energy of tops over 5000 s
+beside the CPU time. All runs are on one thread, in turn; the least CPU times count. It takes a few
+minutes.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from datetime import UTC, datetime
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import lierb
+
+RESULTS = Path(__file__).parent / "results"
+REPEATS = 3
+FORMS = [
+    *product(("RK4", "Verlet", "Verlet4", "RATTLie", "alpha3", "alpha2"), ("SE3",)),
+    *product(("RK4", "RATTLie", "alpha3", "alpha2"), ("SO3xR3",)),
+]
+STEPS = (2e-3, 1e-3, 5e-4)
+LONG, COUNT = 5000.0, 32  # s; tops
+LONG_RUNS = {
+    "RK4": (1e-2, 5e-3, 2.5e-3), "Verlet": (1e-2, 5e-3, 2.5e-3), "Verlet4": (2e-2, 1e-2, 5e-3),
+    "RATTLie": (1e-2, 5e-3), "DOP853": (4e-2, 2e-2, 1e-2),
+}  # fmt: skip
+
+
+def fast_top() -> tuple[lierb.Problem, np.ndarray]:
+    """The heavy top of Brüls and Cardona (2010)."""
+    pivot = lierb.joints.spherical(body_point=(0.0, -1.0, 0.0))
+    body = lierb.Body(15.0, (0.234375, 0.46875, 0.234375))
+    return lierb.Problem(body, pivot, (0.0, 0.0, -9.81)), pivot.twist(omega=(0.0, 150.0, -4.61538))
+
+
+def tops(count: int, spread: float) -> tuple[lierb.Problem, np.ndarray]:
+    """Müller's box on a pivot, with angular velocities that differ by some 0.5 rad/s."""
+    pivot = lierb.joints.spherical(body_point=(-0.15, 0.0375, 0.0))
+    body = lierb.Body(6.075, (0.0126563, 0.0468281, 0.0569531))
+    rng = np.random.default_rng(0)
+    omega = np.array((6.28, 3.14, 0.63)) + spread * rng.normal(size=(count, 3))
+    return lierb.Problem(body, pivot, (0.0, 0.0, -9.81)), pivot.twist(omega=omega)
+
+
+def end(method: str, cspace: str, dt: float) -> dict[str, np.ndarray]:
+    problem, twist0 = fast_top()
+    result = lierb.integrate(
+        problem, twist0=twist0, dt=dt, t_end=1.0, method=method, cspace=cspace,
+        save_every=round(1.0 / dt), record=["multipliers"], progress=False,
+    )  # fmt: skip
+    summary = result.summary.to_pylist()[0]
+    multipliers = result.history["lambda"].to_pylist()[-1]
+    named = {name: np.array(summary[name]) for name in ("position", "omega")}
+    return named | {"lambda": np.array(multipliers), "joint": summary["position_error_max"]}
+
+
+def errors() -> list[dict[str, Any]]:
+    truth = end("DOP853", "SE3", 1e-4)
+    rows = []
+    for (method, cspace), dt in product(FORMS, STEPS):
+        found = end(method, cspace, dt)
+        off = {k: float(np.abs(found[k] - truth[k]).max()) for k in ("position", "omega", "lambda")}
+        rows.append({"method": method, "cspace": cspace, "dt": dt, "joint": found["joint"], **off})
+    return rows
+
+
+def seconds(problem: lierb.Problem, twist0: np.ndarray, **options: Any) -> tuple[float, Any]:
+    """Least CPU time of a run, s, and its result."""
+    best, result = np.inf, None
+    for _ in range(REPEATS + 1):  # the first one compiles
+        begun = time.thread_time()
+        result = lierb.integrate(problem, twist0=twist0, threads=1, progress=False, **options)
+        best = min(best, time.thread_time() - begun)
+    return best, result
+
+
+def speeds() -> list[dict[str, Any]]:
+    """Steps a second of 2048 tops, dt = 1 ms, and multiples of RK4's time on SE(3)."""
+    problem, twist0 = tops(2048, 1.0)
+    run = {"dt": 1e-3, "t_end": 0.25, "measure_every": 250}
+    rows = []
+    for method, cspace in FORMS:
+        spent, _ = seconds(problem, twist0, method=method, cspace=cspace, **run)
+        rows.append({"method": method, "cspace": cspace, "steps_per_s": 2048 * 250 / spent})
+    return rows
+
+
+def energies() -> list[dict[str, Any]]:
+    """Largest |E − E₀| in the first hundredth and the last half of a long run, and its CPU time."""
+    problem, twist0 = tops(COUNT, 0.5)
+    rows = []
+    for method, dts in LONG_RUNS.items():
+        for dt in dts:
+            steps = round(LONG / dt)
+            run = {"dt": dt, "t_end": LONG, "method": method, "measure_every": steps}
+            spent, _ = seconds(problem, twist0, **run)
+            result = lierb.integrate(
+                problem,
+                twist0=twist0,
+                save_every=100,
+                progress=False,
+                **(run | {"measure_every": 100}),
+            )
+            drift = np.abs(result.history["energy_drift"].to_numpy().reshape(-1, COUNT))
+            first, last = drift[: len(drift) // 100].max(), drift[len(drift) // 2 :].max()
+            rows.append({
+                "method": method, "dt": dt, "seconds": spent,
+                "first": float(first), "last": float(last),
+            })  # fmt: skip
+    return rows
+
+
+def tables(found: dict[str, list[dict[str, Any]]]) -> str:
+    """Markdown tables of the three measurements."""
+    lines = ["| method | c-space | " + " | ".join(f"{1e3 * dt:g} ms" for dt in STEPS) + " |"]
+    lines.append("|" + " --- |" * (2 + len(STEPS)))
+    for method, cspace in FORMS:
+        rows = [r for r in found["errors"] if (r["method"], r["cspace"]) == (method, cspace)]
+        cells = (f"{r['position']:.1e}, {r['omega']:.1e}, {r['lambda']:.1e}" for r in rows)
+        lines.append(f"| {method} | {cspace} | " + " | ".join(cells) + " |")
+    base = found["speeds"][0]["steps_per_s"]
+    lines += ["", "| method | c-space | time of a step | M steps/s |", "|" + " --- |" * 4]
+    lines += [
+        f"| {r['method']} | {r['cspace']} | {base / r['steps_per_s']:.2g} | "
+        f"{r['steps_per_s'] / 1e6:.1f} |"
+        for r in found["speeds"]
+    ]
+    unit = min(r["seconds"] for r in found["energies"])
+    lines += ["", "| method | dt | time | first hundredth | last half |", "|" + " --- |" * 5]
+    lines += [
+        f"| {r['method']} | {1e3 * r['dt']:g} ms | {r['seconds'] / unit:.2g} | {r['first']:.1e} | "
+        f"{r['last']:.1e} |"
+        for r in found["energies"]
+    ]
+    return "\n".join(lines)
+
+
+def main() -> None:
+    found = {"errors": errors(), "speeds": speeds(), "energies": energies()}
+    machine = {k: v for k, v in lierb.info().items() if k not in ("cache", "loaded")}
+    name = f"structure-{datetime.now(UTC):%Y-%m-%dT%H%M%S}-{machine['cpu']}.json"
+    text = json.dumps({"machine": machine, **found}, indent=1)
+    (RESULTS / name).write_text(text + "\n", encoding="utf-8")
+    print(name)
+    print(tables(found))
+
+
+if __name__ == "__main__":
+    main()

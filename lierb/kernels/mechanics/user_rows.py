@@ -1,0 +1,160 @@
+"""Users' constraints on poses and on velocities, and their rows."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+from lierb.kernels.functions.function import Function
+from lierb.kernels.functions.user_number import UserNumber
+from lierb.kernels.mechanics.elements import Element, UserFrame, moving, second
+from lierb.kernels.mechanics.newton_euler import Frames, Kinematics
+from lierb.kernels.mechanics.rows import AddedRow, HeldBody
+from lierb.kernels.numbers.arithmetic import plain
+from lierb.kernels.numbers.dual import Dual
+from lierb.kernels.numbers.vec import (
+    ZERO3,
+    ZERO6,
+    Vec,
+    add,
+    cross,
+    cross_add,
+    mat_vec,
+    row,
+    sub,
+)
+from lierb.kernels.numbers.zero import ZERO
+
+
+@dataclass(frozen=True)
+class UserConstraint(Element):
+    """User's constraint h(R, r) = 0."""
+
+    does_work: ClassVar = False
+    function: Function
+    rows: int = 1
+    is_translational: bool = True
+
+    def row(self, place: int, i: int) -> AddedRow:
+        return UserRow(self, place, i)
+
+    def placed(self, given: dict[str, Any], frames: Frames) -> tuple[Any, ...]:
+        return UserFrame.of(frames), tuple(given.values())
+
+
+class UserRow(AddedRow):
+    """Row of a user's constraint; dual numbers give its J and η."""
+
+    @property
+    def is_translational(self) -> bool:  # type: ignore[override]
+        return bool(self.element.is_translational)
+
+    def __str__(self) -> str:
+        return self.element.function.name + (str(self.i + 1) if self.element.rows > 1 else "")
+
+    def _of(self, body: HeldBody, r: Any, place: Any) -> Any:
+        return self.element.function(self.placed(body)[1], r, place)[self.i]
+
+    def value(self, x: Kinematics, body: HeldBody) -> Any:
+        h = self._of(body, *UserFrame(*self.placed(body)[0]).pose(x.q, x.d))
+        return h.value if isinstance(h, UserNumber) else h
+
+    def jacobian(self, x: Kinematics, body: HeldBody) -> Vec:
+        """Derivative along the six unit twists, Ṙ = R ω̂ and ṙ = R v in the user's body axes."""
+        frame = UserFrame(*self.placed(body)[0])
+        r, place = frame.pose(x.q, x.d)
+        entries = []
+        for axis in range(3):
+            a, b, c = row(r, axis)
+            for entry, turning in ((a, (ZERO, -c, b)), (b, (c, ZERO, -a)), (c, (-b, a, ZERO))):
+                entries.append(UserNumber(entry, turning + ZERO3))
+        places = [UserNumber(place[axis], ZERO3 + row(r, axis)) for axis in range(3)]
+        h = self._of(body, tuple(entries), tuple(places))
+        slope = h.parts if isinstance(h, UserNumber) else ZERO6
+        torque, force = frame.to_joint_axes(slope[:3], slope[3:])
+        return cross_add(x.arm, force, torque) + x.translation(mat_vec(x.q, force), force)
+
+    def acceleration(self, x: Kinematics, body: HeldBody) -> Any:
+        """Return η = −ḧ at V̇ = 0, where R̈ = R ω̂²."""
+        frame = UserFrame(*self.placed(body)[0])
+        r, place = frame.pose(x.q, x.d)
+        omega, v = frame.twist(x.omega, x.point_rate)
+        swing = cross(x.omega, cross(x.omega, frame.origin))
+        entries = []
+        for axis in range(3):
+            along = row(r, axis)
+            rate = cross(along, omega)  # (aᵀ ω̂)ᵀ = a×ω
+            entries += [second(*xs) for xs in zip(along, rate, cross(rate, omega), strict=True)]
+        bend = mat_vec(r, mat_vec(frame.axes, add(x.point_bias, swing)))
+        places = [second(*xs) for xs in zip(place, mat_vec(r, v), bend, strict=True)]
+        parameters = _constant_in_time(self.placed(body)[1])
+        h = self.element.function(parameters, tuple(entries), tuple(places))[self.i]
+        slope = h.parts[0] if isinstance(h, UserNumber) else ZERO
+        return -slope.parts[0] if isinstance(slope, UserNumber) and slope.parts else ZERO
+
+
+def _constant_in_time(numbers: tuple[Any, ...]) -> tuple[Any, ...]:
+    """Return numbers without the derivatives of `second`; they keep those by parameters."""
+    return tuple(
+        _constant_in_time(x) if isinstance(x, tuple)
+        else UserNumber(UserNumber(x)) if isinstance(x, Dual)
+        else x
+        for x in numbers
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class UserVelocityConstraint(Element):
+    """User's constraint g(R, r, ω, v) = 0, linear in ω and v."""
+
+    does_work: ClassVar = False
+    function: Function
+    rows: int = 1
+    is_translational: bool = True
+
+    def row(self, place: int, i: int) -> AddedRow:
+        return UserVelocityRow(self, place, i)
+
+    def placed(self, given: dict[str, Any], frames: Frames) -> tuple[Any, ...]:
+        return UserFrame.of(frames), tuple(given.values())
+
+
+class UserVelocityRow(UserRow):
+    """Row of a user's constraint on velocities; dual numbers give its J and η."""
+
+    is_holonomic = False
+
+    def value(self, x: Kinematics, body: HeldBody) -> Any:
+        return ZERO
+
+    def jacobian(self, x: Kinematics, body: HeldBody) -> Vec:
+        """Derivatives by ω and v, in the user's body axes."""
+        frame = UserFrame(*self.placed(body)[0])
+        pose, rest = frame.pose(x.q, x.d), (0.0 * plain(x.q[0]),) * 6
+        twist = tuple(
+            UserNumber(zero, tuple(1.0 if i == k else ZERO for k in range(6)))
+            for i, zero in enumerate(rest)
+        )
+        slope = _slopes(self._rate(body, *pose, twist[:3], twist[3:]), ZERO6)
+        torque, force = frame.to_joint_axes(slope[:3], slope[3:])
+        return cross_add(x.arm, force, torque) + x.translation(mat_vec(x.q, force), force)
+
+    def acceleration(self, x: Kinematics, body: HeldBody) -> Any:
+        """Return η = −ġ at ω̇ = 0 and at the acceleration of the point at V̇ = 0."""
+        frame = UserFrame(*self.placed(body)[0])
+        r, place = frame.pose(x.q, x.d)
+        omega, v = frame.twist(x.omega, x.point_rate)
+        turning = sum((cross(row(r, i), omega) for i in range(3)), start=())  # Ṙ = R ω̂
+        # the components of v in turning axes: v̇ = Qᵀd̈ − ω × v
+        change = mat_vec(frame.axes, sub(x.point_bias, cross(x.omega, x.point_rate)))
+        pose = moving(r, turning), moving(place, mat_vec(r, v))
+        rate = self._rate(body, *pose, moving(omega, ZERO3), moving(v, change))
+        return -_slopes(rate, (ZERO,))[0]
+
+    def _rate(self, body: HeldBody, r: Any, place: Any, omega: Any, v: Any) -> Any:
+        return self.element.function(self.placed(body)[1], r, place, omega, v)[self.i]
+
+
+def _slopes(number: Any, none: Vec) -> Vec:
+    """Derivatives of a number, or `none` of a constant."""
+    return number.parts if isinstance(number, UserNumber) and number.parts else none

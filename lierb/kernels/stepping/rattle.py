@@ -1,0 +1,84 @@
+"""RATTLE on a Lie group (RATTLie) is variational, and satisfies rows of position and velocity.
+
+With X = hξ, C₁ = C₀ exp X, and Λ = ½ h² λ the multipliers at the step's start,
+
+    dexp⁻ᵀ_X MX = h (M V₀ + h/2 W(C₀)) − J₀ᵀΛ,   h(C₁) = 0;
+    M V₁ + J₁ᵀΛ′ = h⁻¹ dexp⁻ᵀ_{−X} MX + h/2 W(C₁),   J₁ V₁ = 0.
+
+The first two are solved by iteration, which evaluates no force; the last two are linear.
+
+Hante and Arnold, J. Comput. Appl. Math. 387 (2021); Hairer, Lubich and Wanner, Geometric Numerical
+Integration, VII.1.4.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from lierb.kernels.numbers.arithmetic import absolute, fma, where
+from lierb.kernels.numbers.newton import simplified_newton
+from lierb.kernels.numbers.vec import Vec, add, axpy, neg, scale, sub
+from lierb.kernels.numbers.zero import ZERO
+from lierb.kernels.stepping.method import Interval, Step
+from lierb.kernels.stepping.unestimated import UnestimatedMethod, ended
+from lierb.kernels.systems.descriptor import Descriptor
+from lierb.kernels.systems.scheme import RattleScheme
+from lierb.kernels.systems.state import State
+
+
+@dataclass(frozen=True)
+class Rattle(UnestimatedMethod):
+    """A step of RATTLE is for a body with the solver "saddle"."""
+
+    scheme: RattleScheme
+
+    def step(
+        self, system: Any, body: Any, state: State, at: Interval, all_stages: bool = False
+    ) -> Step:
+        form, h = Descriptor(system, body), at.h
+        moves = absolute(h) > 0.0  # false for idle lanes
+        first = form.applied(state.chart, state.v_or_mu, at.time)
+        momentum = axpy(0.5 * h, first.wrench, form.momentum(state.v_or_mu))
+        x, unsolved = _displacement(form, state, momentum, h)
+        chart, inverse = form.moved(state.chart, x), 1.0 / where(moves, h, 1.0)
+        arrived = scale(inverse, form.pulled(neg(x), form.momentum(x)))
+        consistent = form.consistent(form.constraints(chart))
+
+        def end(velocity: Vec) -> tuple[Vec, Any]:
+            """Return V₁ with forces at a velocity near it, and their power."""
+            last = form.applied(chart, velocity, at.time + at.span)
+            pushed = axpy(0.5 * h, last.wrench, arrived)
+            solution = consistent.solve((*pushed, *(ZERO,) * len(system.plan.rows)))
+            return solution[:6], last.power
+
+        velocity, power = end(scale(inverse, x))
+        if form.forces_depend_on_velocity:  # the mean velocity is of first order alone
+            velocity, power = end(velocity)
+        moved = state._replace(chart=chart, v_or_mu=velocity)
+        if system.plan.does_work:
+            moved = moved._replace(work=fma(0.5 * h, first.power + power, state.work))
+        if system.plan.has_lane_clocks:
+            moved = where(moves, moved, state)
+        return ended(moved, form.singular, unsolved)
+
+
+def _displacement(form: Descriptor, state: State, momentum: Vec, h: Any) -> tuple[Vec, Any]:
+    """Return X of a step, and 1 where the iteration has not converged.
+
+    momentum : M V₀ + h/2 W(C₀).
+    """
+    chart, aim, before = state.chart, scale(h, momentum), form.constraints(state.chart)
+
+    def residual(unknowns: Vec) -> Vec:
+        x, multipliers = unknowns[:6], unknowns[6:]
+        balance = sub(form.pulled(x, form.momentum(x)), aim)
+        held = form.constraints(form.moved(chart, x)).values
+        return (*add(balance, before.force(multipliers)), *held)
+
+    def size(change: Vec) -> Any:
+        return form.size(chart, change)
+
+    guess = (*scale(h, state.v_or_mu), *(ZERO,) * len(before.values))
+    unknowns, unsolved = simplified_newton(residual, guess, size, state.v_or_mu[0] + 0.0 * h)
+    return unknowns[:6], unsolved

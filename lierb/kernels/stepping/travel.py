@@ -1,0 +1,55 @@
+"""Bounds on a step: regions in which an element acts, and parts that are searched for events."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from lierb.kernels.numbers.arithmetic import absolute, floor, maximum, minimum, where
+from lierb.kernels.numbers.zero import is_zero
+from lierb.kernels.stepping.step_size import EPS, INF, LEAST_ULPS
+from lierb.kernels.systems.plan import AnyPlan
+from lierb.kernels.systems.signals import events_of
+from lierb.kernels.systems.state import State
+from lierb.kernels.systems.system_of import system_of
+
+LEAST_OF_STEP = 1e-6  # least bound, a fraction of a step, so that the next step passes a kink
+MOST_PARTS = 32  # largest number of parts of a step, each searched for events
+
+
+def longest_step(plan: AnyPlan, body: Any, state: State, moved: State, time: Any, h: Any) -> Any:
+    """Return the longest step from `state`, s, that does not pass over a region in which an element
+    acts; None if no element bounds it.
+
+    moved : state that has the velocity: `state` before the step is tried, its end afterwards.
+    h : step that error control proposes, s. The bound is limited from below, relative to h and to
+        the rounding of time, so that a trajectory does not stall.
+    """
+    if not (events_of(plan) or any(element.bounds_steps for element in plan.elements)):
+        return None
+    system = system_of(plan)
+    if state.states:
+        body = body._replace(signals=body.signals._replace(states=state.states))
+    start = system.motion(body, state, time)
+    end = system.motion(body, moved, time, is_next=moved is not state)
+    least = maximum(LEAST_OF_STEP * h, 4.0 * LEAST_ULPS * EPS * absolute(time))
+    longest: Any = INF
+    for watched, parts in ((False, 1.0), (True, float(MOST_PARTS))):
+        for rate, distance in system.travel(body, start, end, time, watched):
+            if not is_zero(rate):
+                moves = rate > 0.0
+                bound = maximum(parts * distance / where(moves, rate, 1.0), least)
+                longest = minimum(longest, where(moves, bound, INF))
+    return longest
+
+
+def parts_to_watch(plan: AnyPlan, body: Any, state: State, moved: State, trial: Any) -> Any:
+    """Return the number of equal parts of a step that are searched for events one by one."""
+    system = system_of(plan)
+    start = system.motion(body, state, trial.start)
+    end = system.motion(body, moved, trial.start, is_next=True)
+    fastest: Any = 0.0 * trial.h
+    for at in (start, end):
+        for rate, distance in system.travel(body, start, at, trial.start, watched=True):
+            if not is_zero(rate):
+                fastest = maximum(fastest, rate / distance)
+    return minimum(floor(trial.h * fastest) + 1.0, float(MOST_PARTS))

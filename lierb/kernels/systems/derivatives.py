@@ -1,0 +1,156 @@
+"""Derivatives along directions of the inputs, carried by dual numbers through a run.
+
+A plan names the fields of the inputs that have derivatives (`AnyPlan.moving`). Their numbers become
+`Dual` with DIRECTIONS parts, which are further inputs, the seeds; everything computed from them is
+then differentiated. Formulas that only examine a state (measures, step-size control, events) get
+the values, whose bits are those of a run without derivatives. Without moving fields no formula here
+emits any code.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import lru_cache, wraps
+from itertools import islice
+from typing import Any
+
+from lierb.kernels.functions.function import size_of
+from lierb.kernels.numbers.arithmetic import alike, flatten
+from lierb.kernels.numbers.dual import Dual, parts_of, value_of, values
+from lierb.kernels.numbers.vec import Vec, mat_t_mat, mat_t_vec
+from lierb.kernels.numbers.zero import ZERO, is_zero
+from lierb.kernels.systems.layout import DIRECTIONS, Columns, Field
+from lierb.kernels.systems.observables import observables_of
+from lierb.kernels.systems.plan import AnyPlan
+from lierb.kernels.systems.signals import events_of, states_of
+from lierb.kernels.systems.state import Slopes, State, Units
+
+
+def on_values(formula: Callable[..., Any]) -> Callable[..., Any]:
+    """Decorate a formula that takes a plan, to be evaluated without derivatives."""
+
+    @wraps(formula)
+    def evaluated(plan: AnyPlan, *operands: Any, **options: Any) -> Any:
+        if plan.moving:
+            operands = tuple(map(values, operands))
+        return formula(plan, *operands, **options)
+
+    return evaluated
+
+
+# ---- from and to memory ------------------------------------------------------------------------
+
+
+def seeded(plan: AnyPlan, columns: Columns, numbers: list[Any]) -> list[Any]:
+    """Return the inputs, as dual numbers where they have derivatives.
+
+    numbers : inputs, then their seeds.
+    """
+    if not plan.moving:
+        return numbers
+    own, seeds = numbers[: columns["seeds"].start], iter(numbers[columns["seeds"]])
+    for field, part in columns:
+        for c in range(part.start, part.stop) if field.name in plan.moving else ():
+            own[c] = Dual(own[c], tuple(islice(seeds, DIRECTIONS)))
+    return own
+
+
+def completed(plan: AnyPlan, numbers: Any) -> Any:
+    """Give every number of nested tuples all parts, so that a state has one type throughout.
+
+    Structural zeros have no derivative, and remain.
+    """
+    if not plan.moving:
+        return numbers
+    if isinstance(numbers, tuple):
+        return alike(numbers, (completed(plan, x) for x in numbers))
+    value = value_of(numbers)
+    if is_zero(value) or isinstance(value, float):
+        return value
+    zero = 0.0 * value
+    parts = parts_of(numbers) or (ZERO,) * DIRECTIONS
+    return Dual(value, tuple(zero if is_zero(p) or isinstance(p, float) else p for p in parts))
+
+
+def with_parts(plan: AnyPlan, numbers: Sequence[Any], parts: Sequence[Any]) -> Sequence[Any]:
+    """Return numbers as dual numbers.   parts : their derivatives, [number][direction]."""
+    if not plan.moving:
+        return numbers
+    rest = iter(parts)
+    return tuple(Dual(x, tuple(islice(rest, DIRECTIONS))) for x in numbers)
+
+
+def parts_side_by_side(numbers: Any, directions: int = DIRECTIONS) -> list[Any]:
+    """Return the derivatives of nested tuples of numbers, [number][direction]."""
+    return [p for x in flatten(numbers) for p in parts_of(x) or (ZERO,) * directions]
+
+
+# ---- results -----------------------------------------------------------------------------------
+
+
+@lru_cache(64)
+def derivative_columns(plan: AnyPlan, links: int, joints: int) -> Columns:
+    """Return the columns of the differentiated quantities of a state.
+
+    Of each link C⁻¹∂C and the change of its twist; extra states, energy, observables; λ and
+    reactions if they are recorded; values of events.
+    """
+    return Columns(
+        Field("links", (12 * links,)),
+        Field("states", (size_of(states_of(plan)),)),
+        Field("energy"),
+        Field("observables", (len(observables_of(plan)),)),
+        Field("multipliers", (plan.multipliers * len(plan.rows),)),
+        Field("reactions", (plan.reaction * 6 * max(joints, 1),)),
+        Field("events", (len(events_of(plan)),)),
+    )
+
+
+def differentiated(
+    plan: AnyPlan, system: Any, body: Any, inputs: list[Any], state: State, time: Any
+) -> list[Any]:
+    """Return the derivatives of `derivative_columns`, [column][direction].
+
+    time : s, a number or a dual number.
+    """
+    seen = system.motion(body, state, time)
+    directions = max(len(parts_of(x)) for x in flatten(state))
+    links = [moved_in_body(link, directions) for link in system.in_user_frames(body, inputs, state)]
+    energy = system.measured(body, state, seen, time).values["energy"]
+    forces: tuple[Any, Any] = ((), ())
+    if plan.multipliers or plan.reaction:
+        forces = system.forces(body, state, time)
+    rest = (
+        state.states, energy, system.observed(body, seen, time),
+        forces[0] if plan.multipliers else (), tuple(forces[1]) if plan.reaction else (),
+        system.events(body, seen, time) if events_of(plan) else (),
+    )  # fmt: skip
+    return flatten(tuple(links)) + parts_side_by_side(rest, directions)
+
+
+def moved_in_body(link: Vec, directions: int) -> tuple[Any, ...]:
+    """Return C⁻¹∂C, angular then linear, and ∂ω, ∂v, [number][direction].   link : R, r, ω, v."""
+    turn = values(link[:9])
+    along = []
+    for j in range(directions):
+        moved = tuple(parts_of(x)[j] if parts_of(x) else ZERO for x in link)
+        spin = mat_t_mat(turn, moved[:9])
+        pairs = ((1, 2), (2, 0), (0, 1))
+        axis = tuple(0.5 * (spin[3 * c + b] - spin[3 * b + c]) for b, c in pairs)
+        along.append((*axis, *mat_t_vec(turn, moved[9:12]), *moved[12:18]))
+    return tuple(x for of_number in zip(*along, strict=True) for x in of_number)
+
+
+def in_time(system: Any, body: Any, state: State, time: Any) -> State:
+    """Make an explicit Euler step of length 0 + ε: the only part is the time derivative.
+
+    body, state : without derivatives.
+    """
+    still = system.combine(body, state, (), Slopes(), Units(0.0, 0.0, 0.0))
+    rates = system.stage_rates(body, still, system.chart_gravity(body, state.chart), time)
+    h = Dual(0.0 * time, (1.0,))
+    moved: State = system.combine(
+        body, state, (1.0,), Slopes().with_stage(rates), Units(0.5 * h, h, h)
+    )
+    placed: State = system.move(body, moved)
+    return placed

@@ -1,0 +1,139 @@
+"""The descriptor form of a body's equations of motion keeps constraints as equations.
+
+    M V̇ + Jᵀλ = ad_Vᵀ M V + W,   h(C) = 0,   J V = 0
+
+on SE(3) or SO(3)×R³, at the body frame's origin. Methods that keep h(C) = 0 step this form.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+from lierb.kernels.groups import quaternion
+from lierb.kernels.groups.quaternion import Chart
+from lierb.kernels.mechanics.constraints import smooth_residuals
+from lierb.kernels.mechanics.elements import Applied, applied_to
+from lierb.kernels.mechanics.newton_euler import BodyConstants
+from lierb.kernels.mechanics.saddle import has_others
+from lierb.kernels.numbers.arithmetic import fma, sqrt, where
+from lierb.kernels.numbers.elimination import Factored
+from lierb.kernels.numbers.newton import total
+from lierb.kernels.numbers.vec import (
+    ZERO6,
+    Mat,
+    Vec,
+    axpy,
+    cross_add,
+    dot,
+    mat_vec,
+    norm,
+    scale,
+)
+from lierb.kernels.numbers.zero import ZERO, is_zero
+from lierb.kernels.systems.formulations import SaddlePoint
+
+UNITS = tuple(tuple(1.0 if i == j else ZERO for i in range(6)) for j in range(6))
+
+
+class Constraints(NamedTuple):
+    """Constraints have values h and a Jacobian J, row by row."""
+
+    values: Vec
+    jacobian: tuple[Vec, ...]
+
+    def force(self, multipliers: Vec) -> Vec:
+        """Return Jᵀλ."""
+        result: Vec = ZERO6
+        for row, size in zip(self.jacobian, multipliers, strict=True):
+            pairs = zip(row, result, strict=True)
+            result = tuple(y if is_zero(x) else fma(size, x, y) for x, y in pairs)
+        return result
+
+    def rates(self, velocity: Vec) -> Vec:
+        """Return J V."""
+        return tuple(dot(row, velocity) for row in self.jacobian)
+
+
+class Descriptor:
+    """The descriptor form of one body has these terms."""
+
+    def __init__(self, system: SaddlePoint, body: BodyConstants) -> None:
+        self.system, self.body, self.plan = system, body, system.plan
+        self.is_mixed = self.plan.cspace == "SO3xR3"
+
+    @property
+    def singular(self) -> Any:
+        """Return 1 where rows depend on others, so that λ is not determined."""
+        if not has_others(self.plan.rows):
+            return ZERO
+        return where(self.body.dropped > 0.5, 1.0, 0.0 * self.body.mass)
+
+    @property
+    def forces_depend_on_velocity(self) -> bool:
+        return any(element.depends_on_velocity for element in self.plan.acting)
+
+    def momentum(self, velocity: Vec) -> Vec:
+        """Return M V."""
+        if self.is_mixed:
+            turning = mat_vec(self.body.inertia, velocity[:3])
+            return turning + scale(self.body.mass, velocity[3:])
+        return self.body.momentum(velocity)
+
+    def applied(self, chart: Chart, velocity: Vec, time: Any) -> Applied:
+        """Return W of gravity and all other forces, and the power of those without potential."""
+        body, plan = self.body, self.plan
+        applied = Applied(ZERO6, ZERO)
+        if plan.acting:
+            x = plan.space.kinematics(body, quaternion.pose(chart), velocity)
+            applied = applied_to(body, plan.elements, x._replace(time=time).motion)
+        torque, force = applied.wrench[:3], applied.wrench[3:]  # about the joint's point
+        if self.is_mixed:
+            torque = cross_add(body.arm, force, torque)
+            force = axpy(body.mass, body.gravity, quaternion.rotated(chart[0], force))
+        else:
+            fall = quaternion.rotated_back(chart[0], body.gravity)
+            torque = cross_add(body.first_moment, fall, torque)
+            force = axpy(body.mass, fall, force)
+        return Applied(torque + force, applied.power)
+
+    def gyroscopic(self, velocity: Vec) -> Vec:
+        """Return ad_Vᵀ M V."""
+        omega, momentum = velocity[:3], self.momentum(velocity)
+        spin = cross_add(momentum[:3], omega, (ZERO,) * 3)
+        if self.is_mixed:
+            return spin + (ZERO,) * 3
+        torque = cross_add(momentum[3:], velocity[3:], spin)
+        return torque + cross_add(momentum[3:], omega, (ZERO,) * 3)
+
+    def constraints(self, chart: Chart) -> Constraints:
+        x = self.plan.space.kinematics(self.body, quaternion.pose(chart), ZERO6)
+        values = smooth_residuals(self.plan.rows, x, self.body)
+        jacobian = tuple(row.jacobian(x, self.body) for row in self.plan.rows)
+        return Constraints(tuple(values), jacobian)
+
+    def moved(self, chart: Chart, x: Vec) -> Chart:
+        """Return C exp X."""
+        return self.system.moved(chart, scale(0.5, x))
+
+    def pulled(self, x: Vec, momentum: Vec) -> Vec:
+        """Return dexp⁻ᵀ_X p."""
+        half = scale(0.5, x)
+        k = quaternion.angle_coefficients(half)
+        charts = self.plan.space.charts
+        return tuple(dot(charts.dexpinv(half, unit, k), momentum) for unit in UNITS)
+
+    def mass_matrix(self) -> Mat:
+        """Return the columns of M, which is symmetric."""
+        return tuple(self.momentum(unit) for unit in UNITS)
+
+    def consistent(self, constraints: Constraints) -> Factored:
+        """Factor [[M, Jᵀ], [J, 0]]."""
+        rows, m = constraints.jacobian, len(constraints.jacobian)
+        mass = self.mass_matrix()
+        upper = [[*mass[i], *(row[i] for row in rows)] for i in range(6)]
+        return Factored([*upper, *([*row, *(ZERO,) * m] for row in rows)])
+
+    def size(self, chart: Chart, x: Vec) -> Any:
+        """Return the size of X, relative to 1 rad and to the body's size and position."""
+        length = sqrt(self.body.girth) + norm(chart[1])
+        return total(x[:3]) + total(x[3:6]) * (1.0 / length)

@@ -1,0 +1,231 @@
+"""The methods here keep structure: variational ones, and generalised α with constraints."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from lierb.errors import ArgumentError, brief
+from lierb.kernels.systems.scheme import (
+    AlphaScheme,
+    Embedded,
+    Extension,
+    RattleScheme,
+    VerletScheme,
+)
+from lierb.methods.method import Limits, Method
+from lierb.support.arrays import as_number, is_whole
+
+RHO = 0.9  # ρ∞ of the methods of the catalogue
+
+ON_SUBGROUPS = Limits(
+    systems="one body on a joint whose motions are a subgroup of SE(3)",
+    solver="subgroup",
+    cspaces=("SE3", "reduced"),
+    takes_constraints=False,
+    cuts_steps=True,
+)
+
+WITH_CONSTRAINTS = Limits(
+    systems="one body on a joint",
+    solver="saddle",
+    cspaces=("SE3", "SO3xR3"),
+    takes_constraints=True,
+    cuts_steps=True,
+)
+
+
+@dataclass(frozen=True)
+class Verlet(Method):
+    """Verlet's variational method steps a body on the subgroup of its joint.
+
+    Substeps follow each other: with lengths (1,) times the step the method has order 2, with
+    Suzuki's five lengths order 4, or 3 where forces depend on velocities.
+
+    Attributes
+    ----------
+    name : str
+        Name of the method.
+    order : int
+        Order of the method.
+    shares : tuple of float
+        Lengths of the substeps, as fractions of the step.
+    source : str
+        Publication.
+    """
+
+    name: str
+    order: int
+    shares: tuple[float, ...]
+    source: str
+
+    updates = ("local",)
+    limits = ON_SUBGROUPS
+
+    @property
+    def evaluations(self) -> float:
+        return 2 * len(self.shares)
+
+    def amplification(self, z: Any) -> Any:
+        return oscillator_growth(z, self.shares)
+
+    def scheme_of(self, embedded: Embedded | None, extension: Extension | None) -> VerletScheme:
+        return VerletScheme(shares=self.shares)
+
+
+def oscillator_growth(z: Any, shares: tuple[float, ...]) -> Any:
+    """Return the growth of the oscillator with modes e^(λt) and e^(λ̄t) in a step of Verlet's.
+
+    It is the spectral radius of the step's matrix.   z : hλ.
+    """
+    stiffness, damping = np.abs(z) ** 2, -2.0 * np.real(z)
+    columns = []
+    for q, v in (
+        (1.0 + 0.0 * stiffness, 0.0 * stiffness),
+        (0.0 * stiffness, 1.0 + 0.0 * stiffness),
+    ):
+        for share in shares:
+            v = v - 0.5 * share * (stiffness * q + damping * v)
+            q = q + share * v
+            predicted = v - 0.5 * share * (stiffness * q + damping * v)
+            v = v - 0.5 * share * (stiffness * q + damping * predicted)
+        columns.append((q, v))
+    (a, c), (b, d) = columns
+    trace, determinant = np.abs(a + d), a * d - b * c
+    discriminant = 0.25 * trace**2 - determinant
+    apart = 0.5 * trace + np.sqrt(np.maximum(discriminant, 0.0))
+    return np.where(discriminant < 0.0, np.sqrt(np.abs(determinant)), apart)
+
+
+@dataclass(frozen=True)
+class Rattle(Method):
+    """RATTLE steps a body on its c-space, with the joint's rows as constraints.
+
+    Attributes
+    ----------
+    name : str
+        Name of the method.
+    order : int
+        Order of the method.
+    source : str
+        Publication.
+    """
+
+    name: str
+    order: int
+    source: str
+
+    updates = ("local",)
+    limits = WITH_CONSTRAINTS
+
+    @property
+    def evaluations(self) -> float:
+        return 2.0
+
+    def amplification(self, z: Any) -> Any:
+        return oscillator_growth(z, (1.0,))
+
+    def scheme_of(self, embedded: Embedded | None, extension: Extension | None) -> RattleScheme:
+        return RattleScheme()
+
+
+@dataclass(frozen=True)
+class GeneralisedAlpha(Method):
+    """A generalised α method steps a body on its c-space; `generalised_alpha` makes one.
+
+    Attributes
+    ----------
+    name : str
+        Name of the method.
+    rho : float
+        ρ∞, factor by which a step changes infinitely fast oscillations.
+    index : int
+        3, or 2 for the stabilised form.
+    order : int
+        Order of the method.
+    source : str
+        Publication.
+    """
+
+    name: str
+    rho: float
+    index: int
+    order: int = 2
+    source: str = (
+        "Brüls, Cardona and Arnold, Mech. Mach. Theory 48 (2012); "
+        "Arnold, Brüls and Cardona, Numerische Mathematik 129 (2015)"
+    )
+
+    updates = ("local",)
+    needs_derivatives = True
+    limits = WITH_CONSTRAINTS._replace(cuts_steps=False)
+
+    def amplification(self, z: Any) -> Any:
+        """Return 1, a bound: the method is unconditionally stable."""
+        return np.ones(np.shape(z))
+
+    def scheme_of(self, embedded: Embedded | None, extension: Extension | None) -> AlphaScheme:
+        return AlphaScheme(rho=self.rho, index=self.index)
+
+
+def generalised_alpha(*, rho: float = RHO, index: int = 3) -> GeneralisedAlpha:
+    """Make a generalised α method of index 3, or of stabilised index 2.
+
+    Index 3 satisfies the constraints of the position, at each step; the stabilised index 2 those
+    of the velocity as well, by further multipliers. Both take all joints, on SE(3) and SO(3)×R³.
+
+    Parameters
+    ----------
+    rho : float, optional
+        ρ∞ from 0 to 1, the factor by which a step changes infinitely fast oscillations: 1 damps
+        nothing, 0 damps them at once.
+    index : {3, 2}, optional
+        Index of the equations.
+
+    Returns
+    -------
+    GeneralisedAlpha
+        Value of the argument `method` of `lierb.integrate`.
+
+    Raises
+    ------
+    ArgumentError
+        rho is not from 0 to 1, or index is neither 3 nor 2.
+
+    References
+    ----------
+    Brüls, Cardona and Arnold, Mech. Mach. Theory 48 (2012); Arnold, Brüls and Cardona, Numerische
+    Mathematik 129 (2015).
+
+    Examples
+    --------
+    >>> import lierb
+    >>> lierb.methods.generalised_alpha(rho=0.5, index=2).name
+    'alpha2(rho=0.5)'
+    """
+    damping = float(as_number("rho", rho))
+    if not 0.0 <= damping <= 1.0:
+        raise ArgumentError(f"rho={brief(rho)}; expected a number from 0 to 1")
+    if not (is_whole(index) and index in (2, 3)):
+        raise ArgumentError(f"index={brief(index)}; expected 3, or 2 for the stabilised form")
+    own = "" if damping == RHO else f"(rho={damping:g})"
+    return GeneralisedAlpha(f"alpha{index}{own}", damping, int(index))
+
+
+_P = 1.0 / (4.0 - 4.0 ** (1.0 / 3.0))
+_SOURCE = "Marsden, Pekarsky and Shkoller, Nonlinearity 12 (1999)"
+
+METHODS = (
+    Verlet("Verlet", 2, (1.0,), _SOURCE),
+    Verlet(
+        "Verlet4",
+        4,
+        (_P, _P, 1.0 - 4.0 * _P, _P, _P),
+        f"{_SOURCE}; Suzuki, Phys. Lett. A 146 (1990)",
+    ),
+    Rattle("RATTLie", 2, "Hante and Arnold, J. Comput. Appl. Math. 387 (2021)"),
+    generalised_alpha(index=3),
+    generalised_alpha(index=2),
+)

@@ -1,0 +1,162 @@
+"""Tables of a run's derivatives with respect to its parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from math import prod
+from typing import NamedTuple
+
+import numpy as np
+import pyarrow as pa
+
+from lierb.errors import unknown_name
+from lierb.kernels.systems.layout import Columns
+from lierb.kernels.systems.measures import MEASURES
+from lierb.model.base import Model
+from lierb.results.columns import as_array, numbers, vectors
+from lierb.results.tables import UNITS
+from lierb.runs.derivatives import Derivatives
+from lierb.runs.output import Output
+from lierb.runs.parameters import POSE_UNITS, TWIST_UNITS
+from lierb.support.arrays import Array
+
+SEPARATOR = "/"  # between quantity and parameter in the name of a column
+UNIT, PER, SHAPE = b"unit", b"per", b"shape"  # keys of a column's metadata
+
+
+class Sensitivities(NamedTuple):
+    """Tables of derivatives; a column such as `pose/body.mass` for each quantity and parameter.
+
+    Each row has the derivatives of a quantity's numbers by all numbers of a parameter, those of one
+    number side by side. The metadata of a column has the quantity's `unit`, the parameter's (`per`)
+    and the `shape`.
+
+    Attributes
+    ----------
+    summary : pyarrow.Table
+        Derivatives at the end of each trajectory, in the rows of `Result.summary`.
+    history : pyarrow.Table or None
+        Derivatives at the saved times, in the rows of `Result.history`.
+    """
+
+    summary: pa.Table
+    history: pa.Table | None = None
+
+    @property
+    def quantities(self) -> tuple[str, ...]:
+        """Return the names of the differentiated quantities."""
+        return _names(self.summary, 0)
+
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        """Return the names of the parameters."""
+        return _names(self.summary, 1)
+
+    def array(self, of: str, with_respect_to: str) -> Array:
+        """Return the derivatives of a quantity by a parameter; see `Result.sensitivity`."""
+        for argument, name, known in (
+            ("of", of, self.quantities), ("with_respect_to", with_respect_to, self.parameters)
+        ):  # fmt: skip
+            if name not in known:
+                raise unknown_name(argument, name, known)
+        column = f"{of}{SEPARATOR}{with_respect_to}"
+        lead: tuple[int, ...] = (self.summary.num_rows,)
+        table = self.summary
+        if self.history is not None and column in self.history.column_names:
+            table, lead = self.history, (-1, self.summary.num_rows)
+        shape = table.schema.field(column).metadata[SHAPE].decode()
+        return as_array(table[column]).reshape(*lead, *map(int, shape.split(", ")))
+
+
+def _names(table: pa.Table, which: int) -> tuple[str, ...]:
+    pairs = (name.split(SEPARATOR) for name in table.column_names if SEPARATOR in name)
+    return tuple(dict.fromkeys(pair[which] for pair in pairs))
+
+
+class _Quantity(NamedTuple):
+    """Quantity of a run.   part : of the differentiated columns.   shape : of its value."""
+
+    name: str
+    part: slice
+    shape: tuple[int, ...]
+    unit: str
+
+
+def sensitivities(
+    derivatives: Derivatives, output: Output, model: Model, history: pa.Table | None, metadata: str
+) -> Sensitivities:
+    """Return the tables of derivatives.   history : of the run, whose rows they share."""
+    count = len(output.status)
+    columns = {
+        "trajectory": numbers(np.arange(count, dtype=np.int64)),
+        "t": numbers(output.t),
+    }
+    fields = [pa.field(name, array.type) for name, array in columns.items()]
+    ends = [*_columns(derivatives, derivatives.ends, model)]
+    if any(event.terminal for event in model.events):
+        times = _Quantity("t", slice(0, 1), (), "s")
+        ends += _of(derivatives, times, derivatives.times[None])
+    summary = _table([*zip(fields, columns.values(), strict=True)], ends, metadata)
+    if history is None:
+        return Sensitivities(summary)
+    same = [(history.schema.field(n), history[n]) for n in ("trajectory", "step", "t")]
+    rows = derivatives.rows.reshape(*derivatives.rows.shape[:2], -1)
+    return Sensitivities(summary, _table(same, [*_columns(derivatives, rows, model)], metadata))
+
+
+Column = tuple[pa.Field, pa.Array]
+
+
+def _table(first: list[Column], rest: list[Column], metadata: str) -> pa.Table:
+    fields, arrays = zip(*first, *rest, strict=True)
+    return pa.Table.from_arrays(list(arrays), schema=pa.schema(fields, {"lierb": metadata}))
+
+
+def _columns(derivatives: Derivatives, array: Array, model: Model) -> Iterator[Column]:
+    """Yield the columns of all quantities.   array : [column][direction][row]."""
+    for quantity in _quantities(derivatives.columns, model):
+        yield from _of(derivatives, quantity, array[quantity.part])
+
+
+def _of(derivatives: Derivatives, quantity: _Quantity, array: Array) -> Iterator[Column]:
+    """Yield a column for each parameter.   array : [number][direction][row]."""
+    first = 0
+    for p in derivatives.parameters:
+        part = np.moveaxis(array[:, first : first + p.size], -1, 0)
+        first += p.size
+        flat = np.ascontiguousarray(part.reshape(len(part), -1))
+        column = vectors(flat)
+        shape = ", ".join(map(str, (*quantity.shape, p.size)))
+        described = {UNIT: quantity.unit, PER: p.unit, SHAPE: shape}
+        name = f"{quantity.name}{SEPARATOR}{p.name}"
+        yield pa.field(name, column.type, metadata=described), column
+
+
+def _quantities(columns: Columns, model: Model) -> Iterator[_Quantity]:
+    """Yield the differentiated quantities, in the order of their columns."""
+    start = columns["links"].start
+    for link in model.link_names:
+        prefix = f"{link}." if link else ""
+        yield _Quantity(f"{prefix}pose", slice(start, start + 6), (6,), POSE_UNITS)
+        yield _Quantity(f"{prefix}twist", slice(start + 6, start + 12), (6,), TWIST_UNITS)
+        start += 12
+    for name, shape, unit in model.signals:
+        yield _Quantity(name, slice(start, start + prod(shape)), shape, unit)
+        start += prod(shape)
+    energy = next(measure for measure in MEASURES if measure.name == "energy")
+    yield _Quantity(energy.name, columns["energy"], (), energy.unit)
+    for i, each in enumerate(model.observables, columns["observables"].start):
+        yield _Quantity(each.name, slice(i, i + 1), (), each.unit)
+    start = columns["multipliers"].start
+    for name, rows in model.rows_by_name if columns.field("multipliers").width else ():
+        if rows:
+            label = f"{name}.lambda" if name else "lambda"
+            part, units = slice(start, start + len(rows)), ", ".join(row.unit for row in rows)
+            yield _Quantity(label, part, (len(rows),), units)
+        start += len(rows)
+    start = columns["reactions"].start
+    names = model.joint_names or ("",)
+    for name in names if columns.field("reactions").width else ():
+        label = f"{name}.reaction" if name else "reaction"
+        yield _Quantity(label, slice(start, start + 6), (6,), UNITS["reaction"])
+        start += 6

@@ -1,0 +1,228 @@
+"""Runs with derivatives: checks, runs of a few directions each, and what they give together."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from lierb.errors import ArgumentError
+from lierb.kernels.systems.layout import DIRECTIONS, Columns
+from lierb.kernels.systems.plan import AnyPlan, MechanismPlan
+from lierb.kernels.systems.signals import events_of
+from lierb.kernels.systems.state import EVENT
+from lierb.kernels.systems.system_of import plan_with_derivatives
+from lierb.runs import engine
+from lierb.runs.inputs import Inputs
+from lierb.runs.output import Output, derivatives_of
+from lierb.runs.parameters import Parameter, all_directions, fields_of
+from lierb.runs.start_directions import Start
+from lierb.runs.starts import Ready
+from lierb.support.arrays import Array
+from lierb.support.memory import require_memory
+from lierb.support.progress import Progress
+
+COPIES = 3  # of all derivatives in memory: of the runs, of all together, and of their tables
+
+
+class Derivatives(NamedTuple):
+    """Derivatives of a run along all directions of its parameters.
+
+    columns : differentiated quantities, `lierb.kernels.systems.derivatives.derivative_columns`.
+    rows : of the history, [column][direction][time][trajectory].
+    ends : at the end of each trajectory, [column][direction][trajectory].
+    times : of the end times, s, [direction][trajectory]; zero but for ends by events.
+    """
+
+    parameters: tuple[Parameter, ...]
+    columns: Columns
+    rows: Array
+    ends: Array
+    times: Array
+
+
+def require_differentiable(ready: Ready, parameters: tuple[Parameter, ...]) -> None:
+    """Raise ArgumentError for a run that has no derivatives, MemoryLimitError for one too large."""
+    for obstacle in (*_obstacles(ready), *_unfit_names(ready, parameters)):
+        raise ArgumentError(f"with_respect_to: {obstacle}")
+    numbers = derivatives_of(ready.plan).count * sum(p.size for p in parameters)
+    rows = (ready.times.saved_rows + 1) * ready.inputs.count
+    remedy = "take fewer parameters or trajectories at a time, or save less often"
+    require_memory(COPIES * 8 * numbers * rows, "the derivatives", remedy)
+
+
+def _obstacles(ready: Ready) -> Iterator[str]:
+    """Yield the reasons why a run has no derivatives, with what is to be done."""
+    plan = ready.plan
+    if ready.inputs.state is not None:
+        yield (
+            "a run that continues from result.end keeps the state of the kernels, which has no "
+            "derivatives by a start; begin with a copy of its poses, pose0=pose0.copy()"
+        )
+    for controller in ready.model.controllers:
+        yield f"the outputs of {controller.name} are not differentiated; leave controllers out"
+    if isinstance(plan, MechanismPlan) and plan.is_in_memory:
+        yield (
+            'solver="looped" has no derivatives; take solver="unrolled", which is compiled for '
+            "this tree"
+        )
+    if not plan.is_explicit:
+        name = ready.options.timing.method.name
+        yield f"{name} has no derivatives; take an explicit method, such as RK4 or DOP853"
+    names = {f.name for e in plan.elements for f in e.functions if not f.is_traced}
+    if names:
+        yield (
+            f"{', '.join(sorted(names))} runs body by body, without derivatives; write it so that "
+            "it runs for many bodies at once, with lierb.where(condition, a, b) in place of if"
+        )
+
+
+def _unfit_names(ready: Ready, parameters: tuple[Parameter, ...]) -> Iterator[str]:
+    """Yield what is wrong with names of parameters, or of columns beside them."""
+    model = ready.model
+    columns = (*(each.name for each in model.signals), *(each.name for each in model.observables))
+    for name in columns:
+        if name in ("pose", "twist"):
+            yield f"{name} is a quantity of the run; name your column otherwise"
+    chosen = {p.name for p in parameters}
+    for link, space in zip(model.link_names, ready.options.formulation.cspaces, strict=True):
+        name = f"{link}.body.com" if link else "body.com"
+        if space == "SO3xR3" and name in chosen:
+            yield (
+                f'{name} cannot change on cspace="SO3xR3", where the body frame is at the centre '
+                'of mass; take cspace="SE3"'
+            )
+
+
+def integrate_with_derivatives(
+    ready: Ready,
+    parameters: tuple[Parameter, ...],
+    with_state: bool,
+    threads: int | None,
+    progress: Progress,
+    check: engine.StartCheck | None,
+) -> tuple[Output, Derivatives]:
+    """Run all trajectories once for every DIRECTIONS directions; arguments of `engine.integrate`.
+
+    The values of all these runs are the same, to the bit, as those of a run without derivatives.
+    """
+    plan, inputs = ready.plan, _with_poses(ready)
+    moving = fields_of(parameters, (field.name for field, _ in inputs.columns))
+    differentiated = plan_with_derivatives(plan, moving)
+    with np.errstate(all="ignore"):  # of starts that violate their joints, which are refused later
+        directions = all_directions(parameters, _start_of(ready, inputs))
+    starts = range(0, len(directions), DIRECTIONS)
+    whole: Output | None = None
+    rows, ends = [], []
+    for number, first in enumerate(starts):
+        seeds = _seeds(inputs.columns, moving, directions[first : first + DIRECTIONS])
+        output = engine.integrate(
+            differentiated, replace(inputs, seeds=seeds), ready.times, with_state, threads,
+            _part_of(progress, number, len(starts)), check,
+        )  # fmt: skip
+        check, whole = None, whole or output
+        rows.append(output.derivatives)
+        ends.append(output.end_derivatives)
+    assert whole is not None
+    whole = replace(whole, plan=plan)
+    return whole, _together(ready, differentiated, parameters, whole, rows, ends)
+
+
+def _part_of(progress: Progress, number: int, runs: int) -> Progress:
+    """Return the progress of one of several equal runs: a function is called with that of all."""
+    if not callable(progress):
+        return progress
+    return lambda done, total: progress(number * total + done, runs * total)
+
+
+def _with_poses(ready: Ready) -> Inputs:
+    """Return the inputs with the closed pose of a joint as an array, which can change."""
+    inputs = ready.inputs
+    if ready.pose0 is not None:
+        return inputs
+    (at,) = ready.model.joints  # a mechanism has poses
+    assert at.joint is not None
+    return replace(inputs, starts=inputs.starts | {"pose": at.joint.closed_pose})
+
+
+def _start_of(ready: Ready, inputs: Inputs) -> Start:
+    model, starts = ready.model, inputs.starts
+    pairs = [*zip(model.fields, model.link_names, strict=True)]
+    poses, twists = (
+        {link: starts[f"{prefix}{field}"] for prefix, link in pairs} for field in ("pose", "twist")
+    )
+    return Start(model, poses, twists, inputs.time)
+
+
+def _seeds(
+    columns: Columns, moving: Sequence[str], directions: list[dict[str, Array]]
+) -> dict[str, Array]:
+    """Return the seeds of a run, [direction][trajectory or 1][number] by field."""
+    seeds = {}
+    for name in moving:
+        field = columns.field(name)
+        given = [each.get(name) for each in directions]
+        count = max((len(x) for x in given if x is not None), default=1)
+        seeds[name] = np.zeros((DIRECTIONS, count, field.width))
+        for array, own in zip(seeds[name], given, strict=False):
+            if own is not None:
+                array[:] = own
+    return seeds
+
+
+# ---- results -----------------------------------------------------------------------------------
+
+
+def _together(
+    ready: Ready,
+    plan: AnyPlan,
+    parameters: tuple[Parameter, ...],
+    output: Output,
+    of_rows: list[Array],
+    of_ends: list[Array],
+) -> Derivatives:
+    """Join the derivatives of all runs.   output : of the first of them."""
+    columns, count = derivatives_of(plan), sum(p.size for p in parameters)
+    n, rows = ready.inputs.count, ready.times.saved_rows
+    whole = columns.count * DIRECTIONS
+
+    def joined(arrays: list[Array], *shape: int) -> Array:
+        parts = [each[:whole].reshape(columns.count, DIRECTIONS, *shape) for each in arrays]
+        return np.concatenate(parts, axis=1)[:, :count]
+
+    ends = joined(of_ends, n)
+    times = np.zeros((count, n))
+    if events_of(plan):
+        _end_at_events(ready, output, columns, ends, times, of_ends[0][whole:])
+    return Derivatives(parameters, columns, joined(of_rows, rows, n), ends, times)
+
+
+def _end_at_events(
+    ready: Ready, output: Output, columns: Columns, ends: Array, times: Array, in_time: Array
+) -> None:
+    """Add the change of the end time where an event g has ended a trajectory.
+
+    ∂t = −∂g/ġ by the implicit function theorem, and ∂x + ẋ ∂t for all quantities.
+
+    ends : derivatives at a fixed time, changed in place.   times : likewise.
+    in_time : time derivatives, [column][trajectory].
+    """
+    for trajectory, event in _ending_events(ready, output):
+        value = columns["events"].start + event
+        with np.errstate(divide="ignore", invalid="ignore"):  # an event that only touches zero
+            times[:, trajectory] = -ends[value, :, trajectory] / in_time[value, trajectory]
+            ends[:, :, trajectory] += np.multiply.outer(
+                in_time[:, trajectory], times[:, trajectory]
+            )
+
+
+def _ending_events(ready: Ready, output: Output) -> Iterator[tuple[int, int]]:
+    """Yield the trajectories that an event has ended, with the number of the event."""
+    rows: Any = output.events
+    terminal = np.array([event.terminal for event in ready.model.events])
+    ended = output.status == EVENT
+    for row in rows[terminal[rows[:, 1].astype(int)]] if len(rows) else ():
+        if ended[int(row[0])]:
+            yield int(row[0]), int(row[1])

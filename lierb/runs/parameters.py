@@ -1,0 +1,215 @@
+"""Parameters with respect to which a run can be differentiated: names, units and directions."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from functools import partial
+from math import prod
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from lierb.errors import ArgumentError, LierbError, brief, items_of, unknown_name
+from lierb.kernels.mechanics.elements import INITIAL
+from lierb.kernels.mechanics.rows import parameters_of
+from lierb.kernels.systems.layout import INPUTS
+from lierb.model.acting import ELEMENTS
+from lierb.model.base import Model
+from lierb.model.forces.built_in import BuiltIn
+from lierb.model.functions.elements import Element
+from lierb.model.functions.states import ExtraStates
+from lierb.model.mechanism.mechanism import Mechanism
+from lierb.runs.start_directions import Moved, Seeds, Start, frame_seeds, omega_units
+from lierb.support.arrays import Array
+
+TWIST_UNITS = "rad/s, rad/s, rad/s, m/s, m/s, m/s"
+POSE_UNITS = "rad, rad, rad, m, m, m"
+STARTS = {"twist0": (6, TWIST_UNITS), "omega0": (3, "rad/s"), "pose0": (6, POSE_UNITS)}
+POINTS = {  # points of a joint: field of the frame of which each is the origin
+    "body_point": "body_frame",
+    "ground_point": "ground_frame",
+    "parent_point": "ground_frame",
+}
+SYMMETRIC = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))  # entries of an inertia
+OF_LISTS = ("problem", *ELEMENTS)  # prefixes of names in a study
+
+
+class Parameter(NamedTuple):
+    """Parameter of a run, a number or several.
+
+    size : number of its directions.   unit : unit, or those of all components.
+    fields : fields of the inputs that depend on it.
+    seeds : function of the start that returns their derivatives.
+    """
+
+    name: str
+    size: int
+    unit: str
+    fields: tuple[str, ...]
+    seeds: Callable[[Start], Seeds]
+
+
+def chosen_parameters(model: Model, given: Any) -> tuple[Parameter, ...]:
+    """Return the parameters of the argument `with_respect_to`. Raises ArgumentError."""
+    expected = "names of parameters, such as omega0 or body.mass"
+    names = (given,) if isinstance(given, str) else items_of("with_respect_to", given, expected)
+    known = {p.name: p for p in _parameters(model)}
+    parameters: dict[str, Parameter] = {}
+    for name in names:
+        if not isinstance(name, str):
+            raise ArgumentError(f"with_respect_to has {brief(name)}; expected {expected}")
+        table, _, rest = name.partition(".")
+        key = rest if table in OF_LISTS and name not in known else name
+        if key not in known:
+            raise _unknown(model, name, known)
+        if key in parameters:
+            raise ArgumentError(f"with_respect_to names {key} twice; name it once")
+        parameters[key] = known[key]
+    return tuple(parameters.values())
+
+
+def _unknown(model: Model, name: str, known: dict[str, Parameter]) -> LierbError:
+    for element, label in _labels(model):
+        for parameter in element.kind.discontinuities:
+            if name == f"{label}.{parameter}":
+                return ArgumentError(
+                    f"with_respect_to={brief(name)} is a time at which {element.name} jumps, by "
+                    "which the motion is not differentiated; leave it out"
+                )
+    return unknown_name("with_respect_to", name, known)
+
+
+def _parameters(model: Model) -> Iterator[Parameter]:
+    """Yield all parameters of a model."""
+    prefixes = [f"{name}." if name else "" for name in model.link_names]
+    for link, prefix in enumerate(prefixes):
+        for name, (count, unit) in STARTS.items():
+            seeds = partial(_start_seeds, model, link, name)
+            yield Parameter(f"{prefix}{name}", count, unit, _start_fields(model, name), seeds)
+    yield _plain("gravity", "gravity", np.eye(3), "m/s²")
+    units = {"mass": np.eye(1), "com": np.eye(3), "inertia": _symmetric_units()}
+    for field, prefix in zip(model.fields, prefixes, strict=True):
+        for name, own in units.items():
+            yield _plain(f"{prefix}body.{name}", f"{field}{name}", own, INPUTS.field(name).unit)
+    yield from _of_joints(model)
+    for element, label in _labels(model):
+        yield from _of_element(model, element, label)
+
+
+def _of_joints(model: Model) -> Iterator[Parameter]:
+    is_mechanism = isinstance(model, Mechanism)
+    for number, at in enumerate(model.joints):
+        assert at.joint is not None
+        prefix, first = (f"{at.name}.joint.", f"{number}.") if is_mechanism else ("joint.", "")
+        for point, frame in POINTS.items():
+            if point == "parent_point" and not is_mechanism:
+                continue
+            units = np.zeros((3, 1, 12))
+            units[range(3), 0, range(9, 12)] = 1.0
+            yield _geometric(model, f"{prefix}{point}", "m", {f"{first}{frame}": units})
+        for name, unit in parameters_of(at.joint.rows).items():
+            yield _geometric(model, f"{prefix}{name}", unit, {f"{first}{name}": np.ones((1, 1, 1))})
+
+
+def _of_element(model: Model, element: Element, label: str) -> Iterator[Parameter]:
+    field = f"element{_index(model, element)}" if isinstance(model, Mechanism) else ""
+    field = field or str(_index(model, element))
+    for name, shape in element.kind.shapes.items():
+        if name in element.kind.discontinuities:
+            continue
+        short, unit = name.removeprefix(INITIAL), _unit(element, name)
+        seeds = {f"{field}.{name}": np.eye(prod(shape))[:, None]}
+        if element.kind.rows:  # a constraint: the start must satisfy it
+            yield _geometric(model, f"{label}.{short}", unit, seeds)
+        else:
+            yield _plain(f"{label}.{short}", f"{field}.{name}", np.eye(prod(shape)), unit)
+
+
+def _unit(element: Element, parameter: str) -> str:
+    """Return the unit of an element's parameter; empty for a user's, which is unknown."""
+    kind = element.kind
+    if isinstance(kind, BuiltIn) and parameter in kind.parameters:
+        return kind.parameters[parameter].unit
+    if isinstance(element, ExtraStates) and parameter.startswith(INITIAL):
+        return element.units.get(parameter.removeprefix(INITIAL), "1")
+    return ""
+
+
+def _labels(model: Model) -> Iterator[tuple[Element, str]]:
+    """Yield each element with its name: that of its columns, with a number if several have it."""
+    names = [".".join((*e.at[:1], e.name)) for e in model.elements]
+    for i, (element, name) in enumerate(zip(model.elements, names, strict=True)):
+        number = f"_{names[:i].count(name) + 1}" if names.count(name) > 1 else ""
+        yield element, f"{name}{number}"
+
+
+def _index(model: Model, element: Element) -> int:
+    return next(i for i, each in enumerate(model.elements) if each is element)
+
+
+# ---- directions --------------------------------------------------------------------------------
+
+
+def _plain(name: str, field: str, units: Array, unit: str) -> Parameter:
+    """Return a parameter on which the start does not depend.   units : (directions, numbers)."""
+    seeds = {field: units[:, None]}
+    return Parameter(name, len(units), unit, (field,), lambda start: seeds)
+
+
+def _symmetric_units() -> Array:
+    """Return the directions of a symmetric matrix, (6, 9)."""
+    units = np.zeros((len(SYMMETRIC), 3, 3))
+    for direction, (i, j) in enumerate(SYMMETRIC):
+        units[direction, i, j] = units[direction, j, i] = 1.0
+    return units.reshape(-1, 9)
+
+
+def _geometric(model: Model, name: str, unit: str, seeds: Seeds) -> Parameter:
+    """Return a parameter of a joint or a constraint, with which the start changes."""
+    ((field, units),) = seeds.items()
+
+    def all_seeds(start: Start) -> Seeds:
+        return seeds | _seeds_of(start, start.of_parameters(seeds))
+
+    return Parameter(name, len(units), unit, (field, *_start_fields(model, "pose0")), all_seeds)
+
+
+def _start_fields(model: Model, name: str) -> tuple[str, ...]:
+    fields = ("pose", "twist") if name == "pose0" else ("twist",)
+    return tuple(f"{prefix}{field}" for prefix in model.fields for field in fields)
+
+
+def _start_seeds(model: Model, link: int, name: str, start: Start) -> Seeds:
+    units = np.eye(6)[:, None]
+    if name == "omega0":
+        joint = model.joints[link].joint
+        assert joint is not None
+        units = omega_units(joint.body_frame)
+    if name == "pose0":
+        return _seeds_of(start, start.directions(link, "pose", units))
+    # the motions that joints admit depend on the poses alone
+    return _seeds_of(start, start.at_rest.directions(link, "twist", units), with_poses=False)
+
+
+def _seeds_of(start: Start, moved: Moved, with_poses: bool = True) -> Seeds:
+    seeds: Seeds = {}
+    for i, prefix in enumerate(start.model.fields):
+        seeds[f"{prefix}twist"] = moved.twists[i]
+        if with_poses:
+            seeds[f"{prefix}pose"] = frame_seeds(start.poses[i], moved.poses[i])
+    return seeds
+
+
+def fields_of(parameters: Iterable[Parameter], order: Iterable[str]) -> tuple[str, ...]:
+    """Return the fields on which any of the parameters acts, in this order."""
+    fields = {field for p in parameters for field in p.fields}
+    return tuple(name for name in order if name in fields)
+
+
+def all_directions(parameters: Iterable[Parameter], start: Start) -> list[dict[str, Array]]:
+    """Return the derivatives of the inputs along each direction, (n or 1, numbers) by field."""
+    directions = []
+    for p in parameters:
+        seeds = p.seeds(start)
+        directions += [{f: array[j] for f, array in seeds.items()} for j in range(p.size)]
+    return directions

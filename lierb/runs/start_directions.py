@@ -1,0 +1,358 @@
+"""Directions of a start: poses and twists of all links that change along parameters.
+
+A start must stay on its joints and loops. A direction is therefore projected onto the motions that
+these admit, by least kinetic energy, as `Problem.project` and `Mechanism.project` do. Where a joint
+moves on its bodies, the relative motion D, D⁻¹Ḋ of its two frames is kept; loops, pitches, lengths
+and constraints are then satisfied by the least change. Twists follow the poses.
+
+Derivatives are parts of dual numbers over arrays, so that rows are differentiated exactly.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from lierb.kernels.groups import se3
+from lierb.kernels.mechanics import elements as kinds
+from lierb.kernels.mechanics.newton_euler import SE3, BodyConstants, Kinematics, Parameters, Pose
+from lierb.kernels.numbers.arithmetic import plain
+from lierb.kernels.numbers.dual import Dual, parts_of
+from lierb.kernels.numbers.vec import Vec, add, cross, dot, mat_mat, mat_t_vec, mat_vec, skew
+from lierb.kernels.systems.layout import POSE
+from lierb.model.base import Model
+from lierb.model.connections import NOWHERE, Connection
+from lierb.model.mechanism.decomposition import DecomposedRows
+from lierb.model.mechanism.links import Link
+from lierb.model.mechanism.mechanism import Mechanism
+from lierb.model.mechanism.row_system import System, velocity_of
+from lierb.model.problem import Problem
+from lierb.support.arrays import Array, assembled, components, pose_components
+
+Seeds = dict[str, Array]  # by field of the inputs, (directions, n or 1, numbers)
+BODY = "body"
+
+
+class Moved(NamedTuple):
+    """Changes of all links along some directions, (directions, n, 6) each.
+
+    poses : C⁻¹δC.   twists : δV.
+    """
+
+    poses: list[Array]
+    twists: list[Array]
+
+
+class Start:
+    """Start of a run with the rows that it satisfies."""
+
+    def __init__(
+        self, model: Model, poses: Mapping[str, Array], twists: Mapping[str, Array], t0: float
+    ) -> None:
+        self.model = model
+        self.t0 = np.float64(t0)
+        self.with_rows = [i for i, e in enumerate(model.elements) if e.kind.rows]
+        self.poses, self.twists = ([*given.values()] for given in (poses, twists))
+
+    @cached_property
+    def at_rest(self) -> Start:
+        """Return the same poses at rest, of which there may be fewer."""
+        zeros = {link: np.zeros(6) for link in self.model.link_names}
+        poses = dict(zip(self.model.link_names, self.poses, strict=True))
+        return Start(self.model, poses, zeros, float(self.t0))
+
+    @cached_property
+    def mechanism(self) -> Mechanism:
+        """Return the model as a mechanism, without elements that have no rows."""
+        model = self.model
+        motors = [force for force in model.forces if force.kind.rows]
+        rows: dict[str, Any] = {"forces": motors, "constraints": model.constraints}
+        if isinstance(model, Mechanism):
+            return Mechanism(model.links, model.loops, **rows)
+        assert isinstance(model, Problem)
+        return Mechanism(Link(BODY, model.body, model.joint), **rows)
+
+    def directions(self, link: int, moves: str, units: Array) -> Moved:
+        """Change the start of one link along directions of its body axes.
+
+        moves : "pose" or "twist".   units : (directions, n or 1, 6).
+        """
+        admitted = self._admitted(link, units)
+        none = [np.zeros_like(each) for each in admitted]
+        if moves == "twist":
+            return Moved(none, admitted)
+        return self._following(Frames(self, {}), Moved(admitted, none))
+
+    def of_parameters(self, seeds: Seeds) -> Moved:
+        """Change the start with frames, pitches and lengths of joints, and with constraints.
+
+        seeds : of fields of the inputs.
+        """
+        frames = Frames(self, seeds)
+        moved = self._carried(frames)
+        off = self._changes(frames, moved, is_rate=False)
+        if off is not None:
+            pairs = zip(moved.poses, self._lightest(off, is_rate=False), strict=True)
+            moved = moved._replace(poses=[pose + change for pose, change in pairs])
+        return self._following(frames, moved)
+
+    # ---- projection ----------------------------------------------------------------------------
+
+    @cached_property
+    def count(self) -> int:
+        """Return the number of different starts, 1 if all trajectories start alike."""
+        poses = {f"pose[{i}]": (pose, 2) for i, pose in enumerate(self.poses)}
+        twists = {f"twist[{i}]": (twist, 1) for i, twist in enumerate(self.twists)}
+        return self.mechanism.batch_size(**poses, **twists) or 1
+
+    @cached_property
+    def system(self) -> System:
+        return System(self.mechanism, self.count)
+
+    @cached_property
+    def placed(self) -> list[Pose]:
+        return [pose_components(pose) for pose in self.poses]
+
+    @cached_property
+    def moving(self) -> list[Vec]:
+        return [components(twist) for twist in self.twists]
+
+    def _decomposed(self, is_rate: bool) -> DecomposedRows:
+        """Return the decomposition of all rows, or of the holonomic ones."""
+        known = self._known
+        if is_rate not in known:
+            states = self.system.states(self.placed, self.moving, self.t0)
+            kept = [s._replace(at=s.at._replace(rows=_rows(s.at, is_rate))) for s in states]
+            known[is_rate] = self.system.decomposed(kept)
+        return known[is_rate]
+
+    @cached_property
+    def _known(self) -> dict[bool, DecomposedRows]:
+        return {}
+
+    def _lightest(self, wanted: Array, is_rate: bool) -> list[Array]:
+        """Return the changes of all links, (directions, n, 6), by which rows change as wanted.
+
+        wanted : (directions, n, rows).
+        """
+        rows = self._decomposed(is_rate)
+        changes = [rows.lightest(each / rows.lengths) for each in wanted]
+        return [
+            np.stack([np.broadcast_to(assembled(of_all[i]), (self.count, 6)) for of_all in changes])
+            for i in range(len(self.poses))
+        ]
+
+    def _admitted(self, link: int, units: Array) -> list[Array]:
+        """Project directions of one link: changes of all links, (directions, n, 6)."""
+        shape = (len(units), self.count, 6)
+        moved = [np.zeros(shape) for _ in self.poses]
+        moved[link] = np.broadcast_to(units, shape).copy()
+        for _ in range(2):  # the second step corrects the rounding of the first
+            rates = self._rates(moved)
+            if rates is None:
+                break
+            pairs = zip(moved, self._lightest(-rates, is_rate=True), strict=True)
+            moved = [own + change for own, change in pairs]
+        return moved
+
+    def _rates(self, moved: list[Array]) -> Array | None:
+        """Return J X of all rows, (directions, n, rows); None without rows."""
+        rates = []
+        for direction in range(len(moved[0])):
+            twists = [components(each[direction]) for each in moved]
+            for s in self.system.states(self.placed, twists, self.t0):
+                velocity = velocity_of(s.x)
+                rates += [dot(r.jacobian(s.x, s.body), velocity) for r in s.at.rows]
+        if not rates:
+            return None
+        return self.system.column(rates).reshape(self.count, len(moved[0]), -1).swapaxes(0, 1)
+
+    # ---- poses and twists that follow ----------------------------------------------------------
+
+    def _carried(self, frames: Frames) -> Moved:
+        """Return the changes of the links that keep the relative motions in their joints."""
+        mechanism, shape = self.mechanism, (frames.count, self.count, 6)
+        poses: dict[int, Pose] = {}
+        twists: dict[int, Vec] = {}
+        for i in mechanism.order:
+            at = mechanism.joints[i]
+            p = frames.parameters(at)
+            outside, moving = p.ground, None
+            if at.parent != NOWHERE:
+                outside = se3.compose(poses[at.parent], p.ground)
+            relative = mechanism.relative(at, self.placed)
+            poses[i] = se3.compose(se3.compose(outside, relative), se3.inverse(p.body))
+            own = mechanism.relative_twist(at, self.placed, self.moving)
+            if at.parent != NOWHERE:
+                in_parent = se3.compose(p.ground, relative)
+                moving = se3.Ad(se3.inverse(in_parent), twists[at.parent])
+            twists[i] = se3.Ad(p.body, own if moving is None else add(own, moving))
+        links = range(len(self.poses))
+        return Moved(
+            [_parts(_moved_in_body(self.placed[i], poses[i]), shape) for i in links],
+            [_parts(twists[i], shape) for i in links],
+        )
+
+    def _following(self, frames: Frames, moved: Moved) -> Moved:
+        """Change the twists by least kinetic energy, so that they fit the changed poses."""
+        off = self._changes(frames, moved, is_rate=True)
+        if off is None:
+            return moved
+        pairs = zip(moved.twists, self._lightest(off, is_rate=True), strict=True)
+        return moved._replace(twists=[twist + change for twist, change in pairs])
+
+    def _changes(self, frames: Frames, moved: Moved, is_rate: bool) -> Array | None:
+        """Return missing changes of all rows, or of their rates, (directions, n, rows)."""
+        pairs = zip(self.placed, moved.poses, strict=True)
+        poses = [_turned(pose, change) for pose, change in pairs]
+        twists = [
+            _with_parts(v, change) for v, change in zip(self.moving, moved.twists, strict=True)
+        ]
+        shape, missing = (len(moved.poses[0]), self.count, 1), []
+        for at in self.mechanism.connections:
+            x, body, change = frames.kinematics(at, poses, twists)
+            for r in _rows(at, is_rate):
+                jacobian = r.jacobian(x, body)
+                if is_rate:
+                    off = r.prescribed_rate(x, body) - dot(jacobian, velocity_of(x))
+                elif r.has_value:
+                    off = -r.value(x, body)
+                else:
+                    off = -dot(jacobian, change)
+                missing.append(_parts((off,), shape))
+        return np.concatenate(missing, axis=-1) if missing else None
+
+
+class Frames:
+    """Joints and constraints of a start, with derivatives along parameters.
+
+    seeds : of fields of the inputs.
+    """
+
+    def __init__(self, start: Start, seeds: Seeds) -> None:
+        self.start, self.seeds = start, seeds
+
+    @property
+    def count(self) -> int:
+        """Return the number of directions."""
+        return len(next(iter(self.seeds.values())))
+
+    def parameters(self, at: Connection) -> Parameters:
+        """Return the parameters of a connection, as dual numbers where its joint changes."""
+        mechanism = self.start.mechanism
+        p = mechanism.parameters(at)
+        if at.joint is None:
+            return p
+        ends = at.body, at.parent, at.joint
+        number = [(x.body, x.parent, x.joint) for x in mechanism.joints].index(ends)
+        prefix = f"{number}." if self.start.model.fields != ("",) else ""
+        return p._replace(
+            ground=self._frame(f"{prefix}ground_frame", p.ground),
+            body=self._frame(f"{prefix}body_frame", p.body),
+            pitch=self._numbers(f"{prefix}pitch", (p.pitch,))[0],
+            length=self._numbers(f"{prefix}length", (p.length,))[0],
+        )
+
+    def kinematics(
+        self, at: Connection, poses: list[Pose], twists: list[Vec]
+    ) -> tuple[Kinematics, BodyConstants, Vec]:
+        """Return the relative motion of a connection, its constants, and D⁻¹δD as parts."""
+        start, p = self.start, self.parameters(at)
+        outside = p.ground if at.parent == NOWHERE else se3.compose(poses[at.parent], p.ground)
+        relative = se3.compose(se3.compose(se3.inverse(outside), poses[at.body]), p.body)
+        velocity = se3.Ad(se3.inverse(p.body), twists[at.body])
+        if at.parent != NOWHERE:
+            in_parent = se3.inverse(se3.compose(p.ground, relative))
+            carried = se3.Ad(in_parent, twists[at.parent])
+            velocity = tuple(v - c for v, c in zip(velocity, carried, strict=True))
+        elements = [start.mechanism.elements[i] for i in at.elements]
+        given = [x for i in at.elements for x in self._element(i)]
+        body = kinds.body_with(SE3, p, tuple(e.kind for e in elements), given)
+        x = SE3.kinematics(body, relative, velocity)._replace(time=start.t0)
+        before = start.mechanism.relative(at, start.placed)
+        return x, body, _moved_in_body(before, relative)
+
+    def _element(self, i: int) -> Iterator[Any]:
+        """Yield the parameters of an element, component by component."""
+        number = self.start.with_rows[i]
+        prefix = "element" if self.start.model.fields != ("",) else ""
+        element = self.start.mechanism.elements[i]
+        for name, shape in element.kind.shapes.items():
+            own = components(element.parameters[name], len(shape))
+            yield from self._numbers(f"{prefix}{number}.{name}", own)
+
+    def _frame(self, field: str, frame: Pose) -> Pose:
+        numbers = self._numbers(field, (*frame[0], *frame[1]))
+        return numbers[:9], numbers[9:]
+
+    def _numbers(self, field: str, numbers: Vec) -> Vec:
+        if field not in self.seeds:
+            return tuple(numbers)
+        return _with_parts(tuple(numbers), self.seeds[field])
+
+
+def frame_seeds(frame: Array, changes: Array) -> Array:
+    """Return the derivatives of the numbers of poses F exp δ, (directions, n or 1, 12).
+
+    frame : (4, 4) or (n, 4, 4).   changes : δ, (directions, n or 1, 6).
+    """
+    turned = _turned(pose_components(frame), changes)
+    count = max(changes.shape[1], 1 if frame.ndim == 2 else len(frame))
+    return _parts((*turned[0], *turned[1]), (len(changes), count, len(POSE)))
+
+
+def _rows(at: Connection, is_rate: bool) -> tuple[Any, ...]:
+    """Return the rows of a connection, or the holonomic ones."""
+    return at.rows if is_rate else tuple(r for r in at.rows if r.is_holonomic)
+
+
+def _with_parts(numbers: Vec, changes: Array) -> Vec:
+    """Return dual numbers.   changes : derivatives, (directions, n or 1, numbers)."""
+    return tuple(Dual(x, tuple(changes[..., i])) for i, x in enumerate(numbers))
+
+
+def _turned(pose: Pose, change: Array) -> Pose:
+    """Return C exp δ as dual numbers, with derivatives C δ.   change : (directions, n or 1, 6)."""
+    moved = [
+        (*mat_mat(pose[0], skew(components(each)[:3])), *mat_vec(pose[0], components(each)[3:]))
+        for each in change
+    ]
+    numbers = tuple(Dual(x, tuple(parts)) for x, *parts in zip(sum(pose, ()), *moved, strict=True))
+    return numbers[:9], numbers[9:]
+
+
+def _moved_in_body(before: Pose, after: Pose) -> Vec:
+    """Return C⁻¹δC, angular then linear, as dual numbers of value zero.
+
+    after : with derivatives.
+    """
+    columns = [
+        tuple(after[0][3 * i + j] - before[0][3 * i + j] for i in range(3)) for j in range(3)
+    ]
+    x, y, z = (mat_t_vec(before[0], column) for column in columns)
+    axis = tuple(0.5 * a for a in (y[2] - z[1], z[0] - x[2], x[1] - y[0]))
+    place = tuple(a - b for a, b in zip(after[1], before[1], strict=True))
+    return axis + mat_t_vec(before[0], place)
+
+
+def _parts(numbers: Vec, shape: tuple[int, ...]) -> Array:
+    """Return the derivatives of numbers, (directions, n, numbers)."""
+    parts = np.zeros(shape)
+    for i, x in enumerate(numbers):
+        for direction, part in enumerate(parts_of(x)):
+            parts[direction, :, i] = plain(part)
+    return parts
+
+
+def omega_units(frame: Array) -> Array:
+    """Return turns about a joint's point on the body, which stays, (3, n or 1, 6)."""
+    point = np.atleast_2d(frame[..., :3, 3])
+    units = np.zeros((3, len(point), 6))
+    for i in range(3):
+        axis = np.eye(3)[i]
+        units[i, :, :3] = axis
+        units[i, :, 3:] = np.stack(cross(tuple(point.T), tuple(axis)), -1)
+    return units

@@ -1,0 +1,210 @@
+"""Angles that count whole turns: springs, stops, observables and events beyond half a turn."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from cases import integrate
+from public_cases.shared import bounced, summed
+
+import lierb
+from lierb.errors import ArgumentError, ForceError
+from lierb.studies.description.units import unit_of
+
+INERTIA, STIFFNESS = 0.2, 0.05
+SWING = np.array([1.0, 10.0, 100.0])  # rad
+FREQUENCY = np.sqrt(STIFFNESS / INERTIA)
+BODY = lierb.Body(1.0, (0.1, 0.11, INERTIA))
+
+
+def spring(turns="turned"):
+    return lierb.forces.torsional_spring(stiffness=STIFFNESS, turns=turns)
+
+
+def mainspring(start=SWING) -> lierb.Problem:
+    held = lierb.joints.revolute()
+    return lierb.Problem(BODY, held, forces=spring(), states=lierb.turns(start=start))
+
+
+def wound(problem) -> np.ndarray:
+    return problem.joint.pose(SWING[:, None])
+
+
+ADAPTIVE = {"rtol": 1e-10, "method": "DOP853"}
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"dt": 1e-3},
+        pytest.param(ADAPTIVE, marks=pytest.mark.slow),
+        pytest.param({"rtol": 1e-10, "method": "Rodas5P"}, marks=pytest.mark.slow),
+    ],
+    ids=["fixed", "adaptive", "Rosenbrock"],
+)
+def test_a_spring_is_wound_by_many_turns(options):
+    """Right: A cos(ωt), 16 turns at most; the energy of the spring is that of the counted angle."""
+    problem, t = mainspring(), np.linspace(0.0, 10.0, 11)
+    saved = {"save_at": t} if "rtol" in options else {"save_every": 1000}
+    result = lierb.integrate(
+        problem, pose0=wound(problem), twist0=np.zeros((3, 6)), t_end=10.0,
+        record=("state", "energy"), **saved, **options,
+    )  # fmt: skip
+    assert result.failed.size == 0
+    angle = SWING * np.cos(FREQUENCY * t[:, None])
+    found = np.array(result.history["turned"]).reshape(11, 3)
+    # RK4 of ω dt = 5e-4, and rounding of 1e4 steps of up to 100 rad; rtol in 1.6 periods
+    np.testing.assert_allclose(found, angle, rtol=0, atol=1e-10 * SWING.max())
+    R = result.rotation
+    off = np.arctan2(R[..., 1, 0], R[..., 0, 0]) - found
+    np.testing.assert_allclose(np.sin(0.5 * off), 0.0, atol=1e-10)
+    whole = 0.5 * STIFFNESS * SWING**2
+    energy = np.array(result.history["energy"]).reshape(11, 3)
+    np.testing.assert_allclose(energy, np.broadcast_to(whole, (11, 3)), rtol=1e-9)
+    assert result.history.schema.field("turned").metadata[b"unit"] == b"rad"
+
+
+def test_the_start_is_that_of_the_pose_nearest_to_the_one_given():
+    """Right: ten turns and 1 rad, whatever is given within half a turn of it."""
+    held, whole = lierb.joints.revolute(), 20.0 * np.pi + 1.0
+    start = whole + np.array([0.0, 3.1, -3.1])
+    problem = lierb.Problem(BODY, held, forces=spring(), states=lierb.turns(start=start))
+    result = integrate(
+        problem, pose0=held.pose([1.0]), twist0=np.zeros((3, 6)), dt=1e-3, t_end=1e-3
+    )
+    first = np.array(result.history["turned"])[:3]
+    np.testing.assert_allclose(first, whole, rtol=1e-15)
+    assert np.ptp(summed(result, "omega")[:, 2]) == 0.0
+
+
+STOPS = -4.0 * np.pi - 1.0, 9.0 * np.pi  # rad
+RATES = np.array([5.0, 7.0, 11.0])
+
+
+@pytest.mark.slow
+def test_stops_many_turns_apart_are_met():
+    """Right: half an oscillation in each stop, straight flight in between (closed form)."""
+    lower, upper = STOPS
+    stops = lierb.forces.joint_limit(lower=lower, upper=upper, stiffness=200.0, turns="turned")
+    wheel = lierb.Link("wheel", BODY, lierb.joints.cylindrical())
+    machine = lierb.Mechanism(wheel, forces=stops.on("wheel"), states=lierb.turns().on("wheel"))
+    t = np.linspace(0.0, 60.0, 241)
+    rates = np.zeros((3, 2))
+    rates[:, 0] = RATES
+    result = lierb.integrate(
+        machine, twist0=machine.twist({"wheel": rates}), rtol=1e-10, method="DOP853", t_end=60.0,
+        save_at=t,
+    )  # fmt: skip
+    assert result.failed.size == 0
+    found = np.array(result.history["turned"]).reshape(241, 3)
+    frequency = np.sqrt(200.0 / INERTIA)
+    for i, rate in enumerate(RATES):
+        right, _ = bounced(t, rate, lower, upper, frequency)
+        # 15 stops, each of which leaves some 1e-7 of the speed at its kinks, and 60 s after them
+        np.testing.assert_allclose(found[:, i], right, rtol=0, atol=1e-3)
+    drift = summed(result, "energy_drift_max") / (0.5 * INERTIA * RATES**2)
+    assert np.all(drift < 1e-5)
+
+
+@lierb.observable(unit="1")
+def revolutions(states):
+    return states.turned / (2.0 * np.pi)
+
+
+@lierb.event(terminal=True)
+def unwound(states, params):
+    return states.turned - params.at
+
+
+@pytest.mark.slow
+def test_observables_and_events_read_the_counted_angle():
+    """Right: 100 cos(ωt) = 30 rad, and its turns."""
+    problem = mainspring()
+    problem = lierb.Problem(
+        problem.body, problem.joint, forces=problem.forces, states=problem.states,
+        observables=revolutions(), events=unwound(at=0.3 * SWING),
+    )  # fmt: skip
+    result = lierb.integrate(
+        problem, pose0=wound(problem), twist0=np.zeros((3, 6)), t_end=10.0, **ADAPTIVE
+    )
+    assert result.summary["status"].to_pylist() == ["event"] * 3
+    np.testing.assert_allclose(result.t, np.arccos(0.3) / FREQUENCY, rtol=1e-9)
+    np.testing.assert_allclose(
+        summed(result, "revolutions_final"), 0.3 * SWING / (2.0 * np.pi), rtol=1e-9
+    )
+    np.testing.assert_allclose(summed(result, "revolutions_max"), SWING / (2.0 * np.pi), rtol=1e-14)
+
+
+def test_a_continued_run_goes_on_counting():
+    """Right: the bits of one run."""
+    problem = mainspring()
+    given = {"pose0": wound(problem), "twist0": np.zeros((3, 6)), "dt": 1e-3}
+    whole = integrate(problem, **given, t_end=0.4)
+    first = integrate(problem, **given, t_end=0.2)
+    second = integrate(problem, **first.end, dt=1e-3, t_end=0.4)
+    for name in ("turned", "rotation", "omega"):
+        np.testing.assert_array_equal(summed(second, name), summed(whole, name), err_msg=name)
+
+
+def test_part_of_a_batch_counts_as_before():
+    problem = mainspring()
+    alone = problem.of_body(2)
+    result = integrate(alone, pose0=wound(problem)[2], twist0=np.zeros(6), dt=1e-3, t_end=0.4)
+    whole = integrate(problem, pose0=wound(problem), twist0=np.zeros((3, 6)), dt=1e-3, t_end=0.4)
+    assert summed(result, "turned")[0] == summed(whole, "turned")[2]
+
+
+def test_each_force_counts_the_turns_of_its_own_joint():
+    """Two wheels; the second state is behind a user's vector. Right: cosines."""
+
+    @lierb.states(rest=(0.0, 0.0))
+    def idle(t):
+        return {"rest": (t, t)}
+
+    wheels = [lierb.Link(name, BODY, lierb.joints.revolute()) for name in ("a", "b")]
+    machine = lierb.Mechanism(
+        wheels,
+        forces=[spring("second").on("b"), spring("first").on("a")],
+        states=[
+            lierb.turns("first", start=10.0).on("a"), idle().on("a"),
+            lierb.turns("second", start=-50.0).on("b"),
+        ],
+    )  # fmt: skip
+    assert [force.kind.counter for force in machine.forces] == [3, 0]
+    pose0 = machine.pose({"a": 10.0, "b": -50.0})
+    result = integrate(machine, pose0=pose0, twist0=machine.twist(), dt=1e-2, t_end=2.0)
+    cosine = np.cos(2.0 * FREQUENCY)
+    assert summed(result, "first")[0] == pytest.approx(10.0 * cosine, rel=1e-9)
+    assert summed(result, "second")[0] == pytest.approx(-50.0 * cosine, rel=1e-9)
+
+
+def test_what_cannot_count_is_refused():
+    held = lierb.joints.revolute()
+    told = r"^torsional_spring counts turns by the state turned, .*states=lierb\.turns\('turned'\)$"
+    with pytest.raises(ForceError, match=told):
+        lierb.Problem(BODY, held, forces=spring())
+    wheels = [lierb.Link(name, BODY, held) for name in ("a", "b")]
+    with pytest.raises(ForceError, match=r"on 'b' counts turns.*turns\('turned'\)\.on\('b'\)"):
+        lierb.Mechanism(wheels, forces=spring().on("b"), states=lierb.turns().on("a"))
+    with pytest.raises(ForceError, match="turned acts about the joint axis, which a spherical"):
+        lierb.Problem(BODY, lierb.joints.spherical(), states=lierb.turns())
+    with pytest.raises(ForceError, match="about which a prismatic joint does not turn"):
+        lierb.Problem(BODY, lierb.joints.prismatic(), states=lierb.turns())
+    states = [lierb.turns().on("a"), lierb.turns().on("b")]
+    with pytest.raises(ArgumentError, match="two are named turned"):
+        lierb.Mechanism(wheels, states=states)
+    with pytest.raises(ArgumentError, match="which no attribute can be"):
+        lierb.turns("class")
+    with pytest.raises(ArgumentError, match=r"or turns= the name of a lierb\.turns"):
+        lierb.forces.joint_limit(lower=-4.0, upper=4.0, stiffness=1.0)
+
+
+def test_a_study_counts_turns():
+    design = lierb.sampling.Design({"states.turned.start": lierb.sampling.Uniform(40.0, 60.0)}, n=3)
+    held = lierb.joints.revolute()
+    problem = lierb.Problem(BODY, held, forces=spring(), states=lierb.turns(start=50.0))
+    study = lierb.study_of(problem, design, dt=0.01, t_end=0.1)
+    made = study.batch(0, 3)
+    assert np.ptp(made.problem.states[0].parameters["start"]) > 0.0
+    assert made.problem.forces[0].kind.turns == "turned"
+    assert unit_of("states.turned.start", study, made.problem) == "rad"
