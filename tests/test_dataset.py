@@ -451,7 +451,7 @@ def test_a_full_disk_ends_a_command_in_a_sentence(name, copy, monkeypatch):
         raise OSError(errno.ENOSPC, "No space left on device")
 
     monkeypatch.setattr("lierb.studies.pages.figures.figures", lambda _dataset: iter(()))
-    monkeypatch.setattr("lierb.studies.pages.report.sheets", lambda _dataset: iter(()))
+    monkeypatch.setattr("lierb.studies.pages.report.sheets", lambda *_: iter(()))
     monkeypatch.setattr("lierb.studies.pages.figures.draw_all", full)
     monkeypatch.setattr(os, "fsync", full)
     file = {"report": "report.html", "plot": "figures"}[name]
