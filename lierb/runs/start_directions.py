@@ -80,7 +80,7 @@ class Start:
 
         moves : "pose" or "twist".   units : (directions, n or 1, 6).
         """
-        admitted = self._admitted(link, units)
+        admitted = self._admitted(link, units, is_rate=moves == "twist")
         none = [np.zeros_like(each) for each in admitted]
         if moves == "twist":
             return Moved(none, admitted)
@@ -145,27 +145,29 @@ class Start:
             for i in range(len(self.poses))
         ]
 
-    def _admitted(self, link: int, units: Array) -> list[Array]:
-        """Project directions of one link: changes of all links, (directions, n, 6)."""
+    def _admitted(self, link: int, units: Array, is_rate: bool) -> list[Array]:
+        """Project directions of one link: changes of all links, (directions, n, 6).
+
+        is_rate : True for those of twists, which all rows bind; poses are bound by holonomic rows.
+        """
         shape = (len(units), self.count, 6)
         moved = [np.zeros(shape) for _ in self.poses]
         moved[link] = np.broadcast_to(units, shape).copy()
         for _ in range(2):  # the second step corrects the rounding of the first
-            rates = self._rates(moved)
+            rates = self._rates(moved, is_rate)
             if rates is None:
                 break
-            pairs = zip(moved, self._lightest(-rates, is_rate=True), strict=True)
+            pairs = zip(moved, self._lightest(-rates, is_rate), strict=True)
             moved = [own + change for own, change in pairs]
         return moved
 
-    def _rates(self, moved: list[Array]) -> Array | None:
-        """Return J X of all rows, (directions, n, rows); None without rows."""
+    def _rates(self, moved: list[Array], is_rate: bool) -> Array | None:
+        """Return J X of all rows, or of the holonomic ones, (directions, n, rows); None without."""
         rates = []
         for direction in range(len(moved[0])):
             twists = [components(each[direction]) for each in moved]
             for s in self.system.states(self.placed, twists, self.t0):
-                velocity = velocity_of(s.x)
-                rates += [dot(r.jacobian(s.x, s.body), velocity) for r in s.at.rows]
+                rates += [s.rate(r) for r in _rows(s.at, is_rate)]
         if not rates:
             return None
         return self.system.column(rates).reshape(self.count, len(moved[0]), -1).swapaxes(0, 1)
@@ -215,13 +217,16 @@ class Start:
         for at in self.mechanism.connections:
             x, body, change = frames.kinematics(at, poses, twists)
             for r in _rows(at, is_rate):
-                jacobian = r.jacobian(x, body)
                 if is_rate:
-                    off = r.prescribed_rate(x, body) - dot(jacobian, velocity_of(x))
+                    off = r.prescribed_rate(x, body) - dot(r.jacobian(x, body), velocity_of(x))
+                    if r.second is not None:
+                        joint = self.mechanism.joints[at.second]._replace(elements=at.elements)
+                        other, ends, _ = frames.kinematics(joint, poses, twists)
+                        off = off - dot(r.second.jacobian(other, ends), velocity_of(other))
                 elif r.has_value:
                     off = -r.value(x, body)
                 else:
-                    off = -dot(jacobian, change)
+                    off = -dot(r.jacobian(x, body), change)
                 missing.append(_parts((off,), shape))
         return np.concatenate(missing, axis=-1) if missing else None
 

@@ -302,3 +302,60 @@ def test_a_mechanism_of_a_batch_has_the_derivatives_that_it_has_alone():
             for of in ("upper.pose", "lower.twist", "energy"):
                 found = together.sensitivity(of, name)[i]
                 assert np.array_equal(found, alone.sensitivity(of, name)[0]), (of, name)
+
+
+@lierb.velocity_constraint(reach=0.1)
+def blade(omega, v, params):
+    return v[1] + params.reach * omega[0]
+
+
+def geared(ratio=-1.5, rate=0.7, reach=0.1) -> lierb.Mechanism:
+    """Two geared links of a double pendulum, a driven one, and a sleigh."""
+    joint = lierb.joints.revolute(body_point=POINTS["upper"], **AXIS)
+    body = body_of(**UPPER)
+    swings = lierb.forces.motor(position=lambda t, params: params.rate * np.sin(3.0 * t), rate=rate)
+    return lierb.Mechanism(
+        [
+            lierb.Link("upper", body, joint), lierb.Link("lower", body, joint, "upper"),
+            lierb.Link("driven", body, joint, "lower"),
+            lierb.Link("sleigh", body, lierb.joints.free()),
+        ],
+        gravity=GRAVITY,
+        forces=[lierb.forces.gear(ratio).on("upper", "lower"), swings.on("driven")],
+        constraints=blade(reach=reach).on("sleigh"),
+    )  # fmt: skip
+
+
+@pytest.mark.slow
+def test_gears_given_motions_and_constraints_on_velocities_have_derivatives():
+    """Right: central differences of 1e-5, whose truncation is 1e-10 of the third derivative."""
+    mechanism = geared()
+    pose0 = mechanism.pose({"lower": 0.3})
+    twist0 = mechanism.project(
+        mechanism.twist({"upper": 1.0, "lower": 0.5}, pose0) | {"sleigh": (1, 2, 3, 0.3, 0.1, 0.4)},
+        pose0,
+    )
+    run = {"dt": 1e-3, "t_end": 0.3}
+    turned = lambda h: pose0 | {"sleigh": lierb.lie.se3.exp((h, 0.0, 0.0, 0.0, 0.0, 0.0))}
+    changes = {
+        "upper.gear.ratio": lambda h: (geared(ratio=-1.5 + h), pose0),
+        "driven.motor.rate": lambda h: (geared(rate=0.7 + h), pose0),
+        "sleigh.blade.reach": lambda h: (geared(reach=0.1 + h), pose0),
+        "sleigh.pose0": lambda h: (mechanism, turned(h)),
+    }
+    result = lierb.integrate(
+        mechanism, pose0=pose0, twist0=twist0, with_respect_to=[*changes], **run
+    )
+
+    def velocities(change, h):
+        changed, poses = changes[change](h)
+        start = changed.project(twist0, poses)
+        end = lierb.integrate(changed, pose0=poses, twist0=start, **run)
+        return np.concatenate([x[0] for n in mechanism.names for x in (end[n].omega, end[n].v)])
+
+    for name in changes:
+        parts = [result.sensitivity(f"{n}.twist", name)[0, :, 0] for n in mechanism.names]
+        found = np.concatenate(parts)
+        expected = (velocities(name, 1e-5) - velocities(name, -1e-5)) / 2e-5
+        assert np.abs(found).max() > 1e-3
+        np.testing.assert_allclose(found, expected, rtol=0, atol=3e-8 * np.abs(expected).max())

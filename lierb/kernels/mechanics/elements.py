@@ -34,6 +34,7 @@ from lierb.kernels.mechanics.newton_euler import (
 from lierb.kernels.mechanics.rows import AddedRow, Rows
 from lierb.kernels.mechanics.scale import ROUNDING
 from lierb.kernels.numbers.arithmetic import PI, absolute, flatten, fma, plain, rint, where
+from lierb.kernels.numbers.dual import Dual
 from lierb.kernels.numbers.number import Number
 from lierb.kernels.numbers.trigonometry import atan2
 from lierb.kernels.numbers.vec import (
@@ -290,6 +291,16 @@ def moving(values: Vec, rates: Vec) -> Vec:
 def second(value: Any, rate: Any, bend: Any) -> UserNumber:
     """A number with its first and second derivative."""
     return UserNumber(UserNumber(plain(value), (rate,)), (UserNumber(plain(rate), (bend,)),))
+
+
+def constant_in_time(numbers: tuple[Any, ...]) -> tuple[Any, ...]:
+    """Return numbers without the derivatives of `second`; they keep those by parameters."""
+    return tuple(
+        constant_in_time(x) if isinstance(x, tuple)
+        else UserNumber(UserNumber(x)) if isinstance(x, Dual)
+        else x
+        for x in numbers
+    )  # fmt: skip
 
 
 # ---- passive elements --------------------------------------------------------------------------

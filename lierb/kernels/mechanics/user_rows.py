@@ -7,11 +7,10 @@ from typing import Any, ClassVar
 
 from lierb.kernels.functions.function import Function
 from lierb.kernels.functions.user_number import UserNumber
-from lierb.kernels.mechanics.elements import Element, UserFrame, moving, second
+from lierb.kernels.mechanics.elements import Element, UserFrame, constant_in_time, moving, second
 from lierb.kernels.mechanics.newton_euler import Frames, Kinematics
 from lierb.kernels.mechanics.rows import AddedRow, HeldBody
 from lierb.kernels.numbers.arithmetic import plain
-from lierb.kernels.numbers.dual import Dual
 from lierb.kernels.numbers.vec import (
     ZERO3,
     ZERO6,
@@ -87,20 +86,10 @@ class UserRow(AddedRow):
             entries += [second(*xs) for xs in zip(along, rate, cross(rate, omega), strict=True)]
         bend = mat_vec(r, mat_vec(frame.axes, add(x.point_bias, swing)))
         places = [second(*xs) for xs in zip(place, mat_vec(r, v), bend, strict=True)]
-        parameters = _constant_in_time(self.placed(body)[1])
+        parameters = constant_in_time(self.placed(body)[1])
         h = self.element.function(parameters, tuple(entries), tuple(places))[self.i]
         slope = h.parts[0] if isinstance(h, UserNumber) else ZERO
         return -slope.parts[0] if isinstance(slope, UserNumber) and slope.parts else ZERO
-
-
-def _constant_in_time(numbers: tuple[Any, ...]) -> tuple[Any, ...]:
-    """Return numbers without the derivatives of `second`; they keep those by parameters."""
-    return tuple(
-        _constant_in_time(x) if isinstance(x, tuple)
-        else UserNumber(UserNumber(x)) if isinstance(x, Dual)
-        else x
-        for x in numbers
-    )  # fmt: skip
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from lierb.kernels.functions.function import Function
 from lierb.kernels.functions.shapes import Shape, UserFunction
 from lierb.kernels.functions.user_number import UserNumber
 from lierb.kernels.mechanics.axis_rows import AxisRow
-from lierb.kernels.mechanics.elements import Wrench, second
+from lierb.kernels.mechanics.elements import Wrench, constant_in_time, second
 from lierb.kernels.mechanics.newton_euler import Kinematics, Motion
 from lierb.kernels.mechanics.rows import AddedRow, HeldBody, Rows, slides, turns
 from lierb.kernels.numbers.arithmetic import plain
@@ -146,7 +146,8 @@ class PositionRow(PrescribedRow):
         return self.distance(x, self.given(x, body))
 
     def acceleration(self, x: Kinematics, body: HeldBody) -> Any:
-        moving = self.element.at(self.placed(body), second(x.time, 1.0, ZERO))
+        own = constant_in_time(self.placed(body))
+        moving = self.element.at(own, second(x.time, 1.0, ZERO))
         return self.bend(x, body) + slope_of(slope_of(moving))
 
     def prescribed_rate(self, x: Kinematics, body: HeldBody) -> Any:
