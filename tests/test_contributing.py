@@ -43,7 +43,7 @@ study = lierb.Study.of({
 assert study.problem.forces[0].type == "attraction"
 batch = study.batch(0, 3)
 problem = batch.problem
-assert unit_of("forces.attraction.strength", study, problem.joint) == "N m²"
+assert unit_of("forces.attraction.strength", study, problem) == "N m²"
 
 off = lierb.lie.se3.exp((0.1, 0.2, -0.3, 0.02, 0.03, -0.04))
 pose = problem.close(off)

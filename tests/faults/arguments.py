@@ -464,7 +464,7 @@ def _of_mechanisms(body: Any, hinge: Any) -> Iterator[Call]:
     }  # fmt: skip
     result = run(**sane, progress=False)  # compiled before any call is timed
     yield Call("integrate(mechanism)", run, sane | options, 4, tuple(sane))
-    yield Call("result[link]", result.__getitem__, {"link": "rod"}, 0.3, ("link",))
+    yield Call("result[name]", result.__getitem__, {"name": "rod"}, 0.3, ("name",))
 
 
 def _of_an_arm(arm: lierb.Mechanism) -> Iterator[Call]:

@@ -10,6 +10,7 @@ import ctypes
 import gc
 import importlib
 import inspect
+import math
 import os
 import pkgutil
 import subprocess
@@ -55,6 +56,11 @@ LOOPS = {  # code of Numba's, and what it works on
     "stepping.clock.time_of",
 }  # fmt: skip
 NO_NUMBERS = {  # abstract, or of other things
+    "loops.record.lane_input",
+    "mechanics.axis_rows.AxisRow.moved",
+    "mechanics.constraints.smooth_residuals",  # for systems.descriptor
+    "mechanics.elements.AddedStates.rates",
+    "mechanics.elements.Element.depends_on_velocity", "mechanics.elements.Element.feels",
     "mechanics.elements.Element.placed", "mechanics.elements.Element.row",
     "mechanics.elements.Element.tangents",
     "mechanics.rows.Cosine.holds_turn", "mechanics.rows.GroundPoint.holds_slide",
@@ -62,9 +68,13 @@ NO_NUMBERS = {  # abstract, or of other things
     "mechanics.rows.Rod.objection", "mechanics.rows.Row.error_kind",
     "mechanics.rows.Row.holds_slide", "mechanics.rows.Row.jacobian",
     "mechanics.rows.Screw.objection", "mechanics.rows.Turning.objection", "mechanics.rows.slides",
+    "mechanics.subgroup.is_commutative",
+    "stepping.stages.StageMethod.end_factors", "stepping.stages.StageMethod.slope_units",
+    "stepping.stages.StageMethod.started", "stepping.stages.StageMethod.with_stages",
     "systems.combine.StateArithmetic.silenced",  # after a failure
     "systems.formulations.SaddlePoint.is_light", "systems.formulations.Subgroup.is_homogeneous",
-    "systems.one_body.OneBody.settled",
+    "systems.formulations.Subgroup.free",
+    "systems.one_body.OneBody.completed", "systems.one_body.OneBody.settled",
 }  # fmt: skip
 
 # Of mechanisms: methods of objects that hold the numbers. tests/mechanisms holds them against other
@@ -73,20 +83,17 @@ OF_MECHANISMS = (
     "groups.ambient.turned",
     "groups.increments.Ambient.pose",
     "groups.turns.",
-    "loops.record.clear_errors",
-    "loops.record.copy_next",
-    "loops.record.exchange",
-    "loops.record.restore_next",
-    "loops.record.take_next",
+    "loops.states_in_memory.",
     "mechanics.spatial.",
     "mechanics.tree.",
+    "mechanics.tree_connections.",
     "mechanics.tree_dynamics.",
     "mechanics.tree_nodes.",
     "mechanics.tree_rows.",
-    "systems.plan.ElementKind.",
-    "systems.plan.LoopPlan.",
-    "systems.plan.MechanismPlan.",
+    "systems.connection_table.",
+    "systems.plan.",
     "systems.relatives.",
+    "systems.scheme.",
     "systems.stabilisation.",
     "systems.tree_",
     "systems.system_of.",
@@ -110,8 +117,8 @@ OF_CLOCKS = (
     "stepping.method.Interval.part",
     "stepping.stages.StageMethod.between",
     "stepping.stages.StageMethod.defects",
-    "stepping.stages.beside_the_step",
     "stepping.stages.StageMethod.extended",
+    "stepping.stages.beside_the_step",
     "loops.event_dips.",
     "loops.event_search.",
     "loops.event_state.",
@@ -122,7 +129,35 @@ OF_CLOCKS = (
     "loops.lane_state.",
     "loops.lane_steps.",
     "stepping.step_size.",
+    "stepping.travel.",
 )
+
+# Methods that solve equations: test_rosenbrock and test_structure_preserving hold them against
+# their orders, other formulations and published runs.
+OF_SOLVERS = (
+    "stepping.generalised_alpha.",
+    "stepping.rattle.",
+    "stepping.rosenbrock.",
+    "stepping.unestimated.",
+    "stepping.verlet.",
+    "systems.descriptor.",
+    "systems.unknowns.",
+)
+
+# What makes dual numbers, drops their derivatives or freezes axes. tests/derivatives holds it
+# against complex steps and closed forms.
+OF_DERIVATIVES = (
+    "loops.record.load_",
+    "loops.record.store_carried",
+    "loops.tables.store_state",
+    "loops.tables.user_state",
+    "mechanics.elements.moving",
+    "mechanics.elements.second",
+    "mechanics.newton_euler.principal_axes_at_point",
+    "systems.derivatives.",
+    "systems.one_body.OneBody.body",
+)
+
 
 if config.DISABLE_JIT:
     gc.set_threshold(20_000)  # formulas make millions of numbers and instructions
@@ -165,8 +200,17 @@ FUNCTIONS = {
     name: f
     for package in (groups, mechanics, systems, stepping, loops)
     for name, f in public(package)
-    if not name.startswith((*OF_MECHANISMS, *OF_CLOCKS))
+    if not name.startswith((*OF_MECHANISMS, *OF_CLOCKS, *OF_SOLVERS, *OF_DERIVATIVES))
 }
+
+
+@lierb.velocity_constraint
+def without_slip(R, omega, v):
+    return (R @ v)[1] - 0.3 * omega[2]
+
+
+def nodding(t):
+    return 0.1 * math.sin(3.0 * t)
 
 
 @lierb.wrench(rate=3.0)
@@ -187,6 +231,11 @@ def pulling(t, R, r, omega, v):
 @lierb.observable
 def height(r, params, t):
     return r[2] * r[2] + t
+
+
+@lierb.observable
+def pull(specific_force):
+    return specific_force @ specific_force
 
 
 @pulling.potential
@@ -216,21 +265,22 @@ def runs():
         ("planar", forces.drag(0.1, 0.2, angular=0.01, point=POINT)),
         ("cylindrical", forces.motor(torque=0.1)),
         ("screw", forces.motor(speed=1.0)),
+        ("revolute", forces.motor(position=nodding)),
         ("spherical", swaying()),
         ("spherical", level()),
         ("free", pulling()),
+        ("free", without_slip()),
     ):
         problem, twist = tilted(name)
-        added = (
-            "constraints"
-            if isinstance(force, lierb.model.functions.constraints.Constraint)
-            else "forces"
-        )
+        is_force = isinstance(force, lierb.model.functions.wrenches.Force)
+        added = "forces" if is_force else "constraints"
         problem = lierb.Problem(problem.body, problem.joint, problem.gravity, **{added: [force]})
         options = {"check": "off"} if added == "constraints" else {}
         yield problem, problem.project(twist), options
     problem, twist = tilted("revolute")
-    problem = lierb.Problem(problem.body, problem.joint, observables=height())
+    problem = lierb.Problem(
+        problem.body, problem.joint, observables=[height(), pull()], states=lierb.turns()
+    )
     yield problem, twist, {"save_every": 1, "measure_every": 2}
 
 
