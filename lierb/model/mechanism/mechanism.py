@@ -13,6 +13,7 @@ from lierb.kernels.systems.plan import UNSTABILISED, MechanismPlan
 from lierb.model.files import mujoco as model_files
 from lierb.model.formulation import Formulation
 from lierb.model.mechanism.closing import Mobility, closed, mobility, projected
+from lierb.model.mechanism.holding import closed_at
 from lierb.model.mechanism.kinematics import TreeKinematics
 from lierb.model.mechanism.links import ByLink, Link, Loop
 from lierb.model.mechanism.plan import formulation_of, mechanism_plan_of
@@ -191,7 +192,9 @@ class Mechanism(TreeKinematics):
 
     # ---- closing ---------------------------------------------------------------------------------
 
-    def close(self, pose: ByLink, *, t0: float = 0.0) -> dict[str, Array]:
+    def close(
+        self, pose: ByLink, *, hold: ByLink | None = None, t0: float = 0.0
+    ) -> dict[str, Array]:
         """Find poses near `pose` that close all joints and loops, by Newton's method.
 
         Every step is the motion of least kinetic energy that cancels the residuals, as in
@@ -202,6 +205,10 @@ class Mechanism(TreeKinematics):
         ----------
         pose : dict
             Poses of all links, (4, 4) or (n, 4, 4).
+        hold : dict, optional
+            Coordinates that joints shall have, by link, as for `pose`: numbers or arrays of n. They
+            go there from those of `pose` in steps of at most 0.1 rad, or a tenth of the mechanism's
+            size, each closed from the one before: the assembly stays on its branch.
         t0 : float, optional
             Time at which the positions of motors are evaluated, s.
 
@@ -212,6 +219,8 @@ class Mechanism(TreeKinematics):
 
         Raises
         ------
+        ArgumentError
+            The joint of a link in `hold` has no coordinates.
         PoseError
             The iteration does not converge; the message has the largest residual and its joint. Or
             the position that a motor prescribes is not finite.
@@ -236,8 +245,9 @@ class Mechanism(TreeKinematics):
         >>> truss.coordinates(closed)["bar"].round(6).tolist()  # −π/6
         [-0.523599]
         """
+        given, time = self.pose_arrays("pose", pose), as_number("t0", t0)
         with np.errstate(all="ignore"):  # with an overflow it does not converge
-            poses = closed(self, self.pose_arrays("pose", pose), as_number("t0", t0))
+            poses = closed_at(self, given, hold, time) if hold else closed(self, given, time)
         return self._checked("the closed pose", poses)
 
     def project(

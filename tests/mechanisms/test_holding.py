@@ -1,0 +1,110 @@
+"""Assemblies whose joints are held, against geometry by hand."""
+
+import numpy as np
+import pytest
+
+import lierb
+
+GROUND, CRANK, COUPLER, ROCKER = 0.4, 0.1, 0.35, 0.3
+TURNING = {"axis": (0.0, 0.0, 1.0)}
+
+
+def rod(name, length, parent, parent_point):
+    """A rod along x, from its joint with the parent."""
+    body = lierb.Body(1.0, (1e-4, length**2 / 12, length**2 / 12))
+    point = (-length / 2, 0.0, 0.0)
+    joint = lierb.joints.revolute(**TURNING, body_point=point, parent_point=parent_point)
+    return lierb.Link(name, body, joint, parent)
+
+
+def end_of(length):
+    return (length / 2, 0.0, 0.0)
+
+
+def four_bar(forces=()):
+    links = [
+        rod("crank", CRANK, "ground", (0.0, 0.0, 0.0)),
+        rod("coupler", COUPLER, "crank", end_of(CRANK)),
+        rod("rocker", ROCKER, "ground", (GROUND, 0.0, 0.0)),
+    ]
+    pin = lierb.joints.revolute(**TURNING, body_point=end_of(ROCKER), parent_point=end_of(COUPLER))
+    return lierb.Mechanism(links, lierb.Loop("pin", pin, "rocker", "coupler"), forces=forces)
+
+
+def pin_of(crank, branch):
+    """Cosine law: where coupler and rocker meet, above (1) or below (-1) of the diagonal."""
+    start = CRANK * np.array((np.cos(crank), np.sin(crank)))
+    diagonal = np.array((GROUND, 0.0)) - start
+    length = np.hypot(*diagonal)
+    along = (COUPLER**2 - ROCKER**2 + length**2) / (2 * length)
+    e = diagonal / length
+    return start + along * e + branch * np.sqrt(COUPLER**2 - along**2) * np.array((-e[1], e[0]))
+
+
+def found_pin(pose):
+    rocker = pose["rocker"]
+    return (rocker @ [*end_of(ROCKER), 1.0])[..., :2]
+
+
+@pytest.mark.parametrize("branch", [1, -1])
+def test_c45_a_four_bar_is_closed_at_crank_angles_on_its_branch(branch):
+    """A whole turn and a half in one call. Right: cosine law."""
+    bars = four_bar()
+    rough = bars.pose({"crank": 0.5, "coupler": branch * 0.4, "rocker": branch * 1.9})
+    angles = np.linspace(-3.0, 6.5, 40)
+    pose = bars.close(rough, hold={"crank": angles})
+    for i, angle in enumerate(angles):
+        turned = pose["crank"][i, :2, :2]
+        np.testing.assert_allclose(turned[:, 0], (np.cos(angle), np.sin(angle)), atol=1e-13)
+        # the joints are closed to rounding; the pin is 5 rad m/m away from them
+        np.testing.assert_allclose(found_pin(pose)[i], pin_of(angle, branch), atol=1e-12)
+
+
+def test_one_angle_gives_one_pose_and_a_motor_on_the_joint_gives_way():
+    bars = four_bar(lierb.forces.motor(position=1.0).on("crank"))
+    rough = bars.pose({"crank": 0.5, "coupler": 0.4, "rocker": 1.9})
+    pose = bars.close(rough, hold={"crank": 0.3})
+    assert pose["rocker"].shape == (4, 4)
+    np.testing.assert_allclose(found_pin(pose), pin_of(0.3, 1), atol=1e-12)
+    np.testing.assert_allclose(found_pin(bars.close(pose)), pin_of(1.0, 1), atol=1e-12)
+
+
+def test_an_angle_out_of_reach_is_told():
+    bars = four_bar()
+    rough = bars.pose({"crank": 0.5, "coupler": 0.4, "rocker": 1.9})
+    with pytest.raises(lierb.errors.PoseError, match="stays open"):
+        bars.close(rough, hold={"rocker": 0.0})
+    with pytest.raises(lierb.errors.LierbError, match="hold"):
+        bars.close(rough, hold={"shaft": 0.0})
+
+
+def test_a_wheel_follows_one_that_is_held_by_their_gear():
+    wheel = lierb.bodies.cylinder(0.1, 0.02, mass=1.0)
+    links = [
+        lierb.Link("left", wheel, lierb.joints.revolute()),
+        lierb.Link("right", wheel, lierb.joints.revolute(ground_point=(0.3, 0.0, 0.0))),
+    ]
+    pair = lierb.Mechanism(links, forces=lierb.forces.gear(ratio=-2.0).on("left", "right"))
+    turned = pair.close(pair.pose(), hold={"left": [0.5, 1.5]})
+    right = pair.coordinates(turned)["right"][:, 0]
+    ratio = right / pair.coordinates(turned)["left"][:, 0]
+    np.testing.assert_allclose(ratio, ratio[0], rtol=1e-12)
+    assert ratio[0] in (pytest.approx(-2.0, rel=1e-12), pytest.approx(-0.5, rel=1e-12))
+
+
+def test_joints_with_several_coordinates_and_slides_are_held():
+    box = lierb.bodies.box((0.1, 0.1, 0.1), mass=1.0)
+    links = [
+        lierb.Link("carriage", box, lierb.joints.prismatic()),
+        lierb.Link("ball", box, lierb.joints.spherical(body_point=(-0.2, 0, 0)), "carriage"),
+        lierb.Link("stay", box, lierb.joints.spherical(ground_point=(0.5, 0.0, 0.4))),
+    ]
+    tie = lierb.joints.point_on_sphere(body_point=(0.1, 0, 0), parent_point=(0.1, 0, 0), length=0.4)
+    arm = lierb.Mechanism(links, lierb.Loop("tie", tie, "stay", "ball"))
+    hold = {"carriage": 0.1, "ball": (0.1, 0.2, -0.3)}
+    closed = arm.close(arm.pose(), hold=hold)
+    found = arm.coordinates(closed)
+    np.testing.assert_allclose(found["carriage"], [0.1], atol=1e-13)
+    np.testing.assert_allclose(found["ball"], hold["ball"], atol=1e-13)
+    ends = (closed["stay"][:3, :] - closed["ball"][:3, :]) @ [0.1, 0.0, 0.0, 1.0]
+    assert np.linalg.norm(ends) == pytest.approx(0.4, abs=1e-12)
