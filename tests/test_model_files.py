@@ -12,7 +12,6 @@ from scipy.spatial.transform import Rotation
 
 import lierb
 from lierb.errors import ArgumentError, LeftOutWarning
-from lierb.model.files.composed_joints import SimpleJoint, composed
 
 mujoco = pytest.importorskip("mujoco")
 
@@ -641,16 +640,157 @@ def test_other_joints_allow_the_same_poses(tmp_path, name):
         '<joint type="ball"/><joint type="slide" axis="1 0 0"/>',
     ],
 )
-def test_joints_that_are_none_of_the_catalogue_are_refused(tmp_path, joints):
-    with pytest.raises(ArgumentError, match=r"body body: its joints .* none of the catalogue"):
-        lierb.Mechanism.from_mjcf(one_body(tmp_path, joints))
+def test_joints_that_are_none_of_the_catalogue_have_links_without_mass_between_them(
+    tmp_path, joints
+):
+    """dm_control's humanoid has hinges that do not meet. Right: MuJoCo, which needs no links."""
+    path = one_body(tmp_path, joints)
+    mechanism, left_out = read(path)
+    assert mechanism.names == ("base", "body_1", "body")
+    assert left_out == ("links without mass, which have 1e-12 of what hangs on them: body_1",)
+    model = model_of(path)
+    model.opt.timestep, model.opt.integrator = 2.5e-4, mujoco.mjtIntegrator.mjINT_RK4
+    data = mujoco.MjData(model)
+    for _ in range(1000):
+        mujoco.mj_step(model, data)
+    result = lierb.integrate(mechanism, rtol=1e-11, t_end=0.25, solver="looped")
+    mujoco.mj_kinematics(model, data)
+    place = data.body("body")
+    # MuJoCo's steps, of about 1 m/s and 5 rad/s: 0.25 · 5⁵ (2.5e-4)⁴ / 120 is 3e-14
+    np.testing.assert_allclose(result["body"].position[0], place.xpos, rtol=0, atol=1e-10)
+    np.testing.assert_allclose(result["body"].rotation[0].ravel(), place.xmat, rtol=0, atol=1e-10)
 
 
-def test_slides_along_one_line_are_refused():
-    """MuJoCo does not take them in a file: they make its mass matrix singular."""
-    twice = [SimpleJoint("slide", np.eye(3)[0], np.zeros(3))] * 2
-    with pytest.raises(ArgumentError, match="none of the catalogue"):
-        composed(twice, np.eye(4))
+def test_c24_a_mobile_base_may_have_carriages_without_mass(tmp_path):
+    """Genesis#3185, drake#13903, pinocchio#60: slides of a base, merged by hand or refused.
+
+    Right: a planar joint, on which the chassis and its arm move.
+    """
+    text = """<mujoco><compiler angle="radian"/><worldbody>{base}
+        <body name="arm" pos="0.2 0 0.1"><joint axis="0 1 0"/>
+          <inertial pos="0.1 0.02 -0.3" mass="1.3" diaginertia="0.03 0.02 0.025"/></body>
+      {end}</worldbody></mujoco>"""
+    chassis = '<inertial pos="0.1 0 0" mass="5" diaginertia="0.2 0.3 0.4"/>'
+    slides = """<body name="x"><joint type="slide" axis="1 0 0"/>
+      <body name="y"><joint type="slide" axis="0 1 0"/>
+      <body name="chassis"><joint axis="0 0 1"/>"""
+    together = """<body name="chassis"><joint type="slide" axis="1 0 0"/>
+      <joint type="slide" axis="0 1 0"/><joint axis="0 0 1"/>"""
+    ends = []
+    for base, end in ((slides, "</body></body></body>"), (together, "</body>")):
+        path = tmp_path / "base.xml"
+        path.write_text(text.format(base=base + chassis, end=end))
+        machine, _ = read(path)
+        twist0 = machine.twist({"arm": 3.0, "chassis": 2.0 if end != "</body>" else (2.0, 0, 0)})
+        ends.append(lierb.integrate(machine, twist0=twist0, dt=2e-3, t_end=0.5, solver="looped"))
+    for link in ("chassis", "arm"):
+        # 1e-12 of 6 kg between, whose effect over 0.5 s is of that part
+        np.testing.assert_allclose(
+            ends[0][link].position, ends[1][link].position, rtol=0, atol=1e-11
+        )
+        np.testing.assert_allclose(ends[0][link].omega, ends[1][link].omega, rtol=0, atol=1e-11)
+
+
+LEGS = """<mujoco><compiler angle="radian"/><option gravity="{gravity}"/><worldbody>
+  <body name="trunk" pos="0.1 0.2 1" euler="0.1 0.2 0.3">{joint}
+    <inertial pos="0.05 0 0.1" mass="4" diaginertia="0.1 0.12 0.05"/>
+    <body name="leg" pos="0.1 0.2 0" euler="0.3 0 0"><joint axis="1 2 0" pos="0 0 0.05"/>
+      <inertial pos="0.1 0.02 -0.3" mass="1.3" diaginertia="0.03 0.02 0.025"/></body>
+  </body></worldbody>{keys}</mujoco>"""
+
+
+def test_c41_a_base_floats_or_is_fixed(tmp_path):
+    """crocoddyl#979: files of legged robots and drones hold the base.
+
+    Right: a file with a free joint.
+    """
+    keys = '<keyframe><key qpos="0 0 1 1 0 0 0 0.3"/></keyframe>'
+    texts = {
+        "fixed": LEGS.format(gravity="0 0 -9.81", joint="", keys=""),
+        "free": LEGS.format(gravity="0 0 -9.81", joint="<freejoint/>", keys=keys),
+    }
+    made = {}
+    for kind, text in texts.items():
+        for base in (None, "free", "fixed"):
+            path = tmp_path / f"{kind}.xml"
+            path.write_text(text)
+            made[kind, base], left_out = read(path, base=base)
+            assert ("1 keyframes" in left_out) == (kind == "free")
+    assert made["fixed", "free"].names == made["free", None].names == ("trunk", "leg")
+    assert made["free", "fixed"].names == made["fixed", None].names == ("leg",)
+    run = {"twist0": {"leg": (0.1, 0.2, 0.0, 0.0, 0.0, 0.0)}, "dt": 1e-3, "t_end": 0.3}
+    for first, second in (
+        (("fixed", "free"), ("free", None)),
+        (("free", "fixed"), ("fixed", None)),
+    ):
+        ends = [
+            lierb.integrate(m, **run | {"twist0": m.twist({"leg": 2.0})}, solver="looped")["leg"]
+            for m in (made[first], made[second])
+        ]
+        np.testing.assert_array_equal(ends[0].position, ends[1].position)
+    with pytest.raises(lierb.errors.UnknownNameError, match=r"base='floating'"):
+        lierb.Mechanism.from_mjcf(path, base="floating")
+
+
+def test_c41_the_root_of_a_urdf_floats(tmp_path):
+    """The root has its mass; the momentum of all stays. Right: gravity's impulse."""
+    text = """<robot name="r"><link name="trunk"><inertial><origin xyz="0.05 0 0.1"/>
+      <mass value="4"/><inertia ixx="0.1" iyy="0.12" izz="0.05" ixy="0" ixz="0" iyz="0"/></inertial></link>
+      <link name="leg"><inertial><origin xyz="0.1 0.02 -0.3"/><mass value="1.3"/>
+      <inertia ixx="0.03" iyy="0.02" izz="0.025" ixy="0" ixz="0" iyz="0"/></inertial></link>
+      <joint name="hip" type="continuous"><parent link="trunk"/><child link="leg"/>
+      <origin xyz="0.1 0.2 0"/><axis xyz="0 1 0"/></joint></robot>"""
+    path = tmp_path / "r.urdf"
+    path.write_text(text)
+    held, left_out = read(path)
+    assert held.names == ("leg",)
+    assert "mass of what is welded to the ground: trunk 4 kg" in left_out
+    machine, left_out = read(path, base="free")
+    assert (machine.names, left_out) == (("trunk", "leg"), ())
+    twist0 = machine.twist({"leg": 3.0})
+    result = lierb.integrate(machine, twist0=twist0, dt=1e-3, t_end=0.5, solver="looped")
+    start = 1.3 * (twist0["leg"][3:] + np.cross(twist0["leg"][:3], (0.1, 0.02, -0.3)))
+    end = sum(
+        link.body.mass * result[link.name].rotation[0]
+        @ (result[link.name].v[0] + np.cross(result[link.name].omega[0], link.body.com))
+        for link in machine.links
+    )  # fmt: skip
+    np.testing.assert_allclose(end - start, (0.0, 0.0, -(4.0 + 1.3) * 0.5 * 9.81), atol=1e-10)
+
+
+def test_c50_an_imported_arm_runs_on_so3xr3(tmp_path):
+    """jaxsim#205: frames of files are not at centres of mass. Right: the c-spaces agree."""
+    path = tmp_path / "legs.xml"
+    path.write_text(LEGS.format(gravity="0 0 -9.81", joint='<joint axis="0 1 0"/>', keys=""))
+    (of_file, _), (centred, _) = read(path), read(path, frames="centre")
+    assert not any(np.any(link.body.com) for link in centred.links)
+    rates = {"trunk": 1.0, "leg": 2.0}
+    end = lierb.integrate(
+        of_file, twist0=of_file.twist(rates), dt=1e-3, t_end=0.3, solver="looped"
+    )["leg"]
+    run = {"twist0": centred.twist(rates), "dt": 1e-3, "t_end": 0.3}
+    centre = end.position[0] + end.rotation[0] @ of_file.link("leg").body.com
+    # RK4, of 4 rad/s: 0.3 · 4⁵ · 1e-12 / 120
+    for more in ({"solver": "looped"}, {"cspace": "SO3xR3"}):
+        moved = lierb.integrate(centred, **run, **more)["leg"]
+        np.testing.assert_allclose(moved.position[0], centre, rtol=0, atol=2e-11)
+        np.testing.assert_allclose(moved.rotation[0], end.rotation[0], rtol=0, atol=2e-11)
+
+
+def test_links_without_mass_that_nothing_moves_are_refused(tmp_path):
+    inside = '<body name="tip"><joint axis="{axis}"/>' + INERTIA + "</body>"
+    path = one_body(
+        tmp_path, '<joint axis="1 0 0"/>', inertial="", inside=inside.format(axis="1 0 0")
+    )
+    with (
+        pytest.warns(LeftOutWarning),
+        pytest.raises(ArgumentError, match="body body moves and has no mass, and can move without"),
+    ):
+        lierb.Mechanism.from_mjcf(path)
+    path = one_body(
+        tmp_path, '<joint axis="1 0 0"/>', inertial="", inside=inside.format(axis="0 1 0")
+    )
+    assert read(path)[0].names == ("base", "body", "tip")
 
 
 @pytest.mark.parametrize(

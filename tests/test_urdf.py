@@ -325,7 +325,7 @@ NAMES = {
     ("inside", "message"),
     [
         ("", "has no mass"),
-        (inertial(0.0), "has no mass"),
+        (inertial(0.0), "mass is zero"),
         (inertial(-1.0), "mass is -1.0 kg"),
         (inertial(1.0, POINT), "not positive definite"),
         (inertial(1.0, FLAT), "exceeds the sum"),
@@ -333,8 +333,8 @@ NAMES = {
 )
 def test_from_urdf_names_the_moving_link_whose_inertia_no_body_has(tmp_path, name, inside, message):
     path = robot(
-        tmp_path, link("base"), link(name, inside), link("tip"), joint("hinge", "base", name),
-        joint("next", name, "tip"),
+        tmp_path, link("base"), link(name, inside), link("tip", inside),
+        joint("hinge", "base", name), joint("next", name, "tip"),
     )  # fmt: skip
     with pytest.raises(ArgumentError) as raised:
         read(path)

@@ -32,10 +32,12 @@ DISABLED = {  # by bit of mjtDisableBit, fields of the model to be set to zero
 }
 
 
-def compiled(path: Any, language: str) -> tuple[MjModel, list[str]]:
+def compiled(path: Any, language: str, base: str | None) -> tuple[MjModel, list[str]]:
     """Return the model of a file, and the elements of the file that the model lacks.
 
-    language : "MJCF" or "URDF".   Raises ArgumentError for a file that MuJoCo refuses.
+    language : "MJCF" or "URDF".   base : "free", "fixed", or None for that of the file.
+
+    Raises ArgumentError for a file that MuJoCo refuses.
     """
     try:
         import mujoco
@@ -48,6 +50,8 @@ def compiled(path: Any, language: str) -> tuple[MjModel, list[str]]:
         robot = urdf.read(path) if language == "URDF" else None
         spec = mujoco.MjSpec.from_file(fspath(path)) if robot is None else robot.spec
         spec.compiler.fusestatic = False  # `welded_bodies` merges them
+        left_out = [] if robot is None else robot.left_out
+        left_out += _with_base(spec, base)
         model = inertials.compiled(spec)
     except Exception as error:  # the readers of XML, URDF and MJCF raise different errors
         message = " ".join(str(error).split())
@@ -61,7 +65,23 @@ def compiled(path: Any, language: str) -> tuple[MjModel, list[str]]:
             j = model.joint(name).id
             model.jnt_limited[j], model.jnt_range[j] = True, ends
     _apply_disable_flags(model, mujoco.mjtDisableBit)
-    return model, [] if robot is None else robot.left_out
+    return model, left_out
+
+
+def _with_base(spec: MjSpec, base: str | None) -> list[str]:
+    """Add free joints to the bodies on the ground, or remove them; return what was left out."""
+    import mujoco
+
+    for body in spec.worldbody.bodies if base else ():
+        if base == "free" and not body.joints:
+            body.add_freejoint()
+        for joint in list(body.joints) if base == "fixed" else ():
+            if joint.type == mujoco.mjtJoint.mjJNT_FREE:
+                spec.delete(joint)
+    keys = list(spec.keys) if base else []  # their lengths are those of the file's coordinates
+    for key in keys:
+        spec.delete(key)
+    return [f"{len(keys)} keyframes"] if keys else []
 
 
 def _elements_at_line(path: Any, message: str) -> str:

@@ -1,8 +1,8 @@
 """Compose the simple joints of a body into one joint of the catalogue.
 
 Files describe a joint with several degrees of freedom as a sequence of hinges, slides and balls,
-C = C₀ exp(S₁q₁) exp(S₂q₂) …, all in the axes of the body at q = 0. lierb has no massless bodies
-between them; the sequence is replaced by one joint with the same motions.
+C = C₀ exp(S₁q₁) exp(S₂q₂) …, all in the axes of the body at q = 0. The
+sequence is replaced by one joint of the catalogue with the same motions, if there is one.
 """
 
 from __future__ import annotations
@@ -12,7 +12,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lierb.errors import ArgumentError
 from lierb.model import joints
 from lierb.model.joints.joint import Joint
 from lierb.support.arrays import Array
@@ -29,24 +28,17 @@ class SimpleJoint(NamedTuple):
     point: Array
 
 
-def composed(sequence: list[SimpleJoint], placed: Array) -> Joint:
-    """Return one joint for the whole sequence.
+def composed(sequence: list[SimpleJoint], placed: Array) -> list[Joint]:
+    """Return one joint for the whole sequence, or else one for each of its members.
 
     placed : (4, 4), C₀ in the parent's body frame.
-
-    Raises ArgumentError for a sequence whose motions no joint of the catalogue has.
     """
-    entry = _of_catalogue(sequence)
-    if entry is None:
-        kinds = ", ".join(f"{x.kind} {_listed(x.axis)}" for x in sequence)
-        raise ArgumentError(
-            f"its joints ({kinds}) are together none of the catalogue; what is known: hinges that "
-            "meet at right angles (universal, spherical), slides (planar_translation, translation),"
-            " a hinge with slides along or across it (cylindrical, pin_in_slot, planar, "
-            "schoenflies), and three slides with a ball (free). Put a body with mass between them"
-        )
-    name, frame = entry
-    return joints.JOINTS[name](body_frame=frame, parent_frame=placed @ frame)
+    whole = _of_catalogue(sequence)
+    entries = [whole] if whole else [_single(x) for x in sequence]
+    return [
+        joints.JOINTS[name](body_frame=frame, parent_frame=frame if k else placed @ frame)
+        for k, (name, frame) in enumerate(entries)
+    ]
 
 
 def _of_catalogue(sequence: list[SimpleJoint]) -> tuple[str, Array] | None:
@@ -140,7 +132,3 @@ def _along(axis: Array, point: Array, first: Array | None = None) -> Array:
     options = {} if first is None else {"slot": first}
     kind = joints.revolute if first is None else joints.pin_in_slot
     return kind(axis=axis, body_point=point, **options).body_frame
-
-
-def _listed(axis: Array) -> str:
-    return f"({', '.join(f'{x:.3g}' for x in axis)})"

@@ -8,7 +8,7 @@ import numpy as np
 
 from lierb.model import forces
 from lierb.model.files.joint_forces import JointForces
-from lierb.model.files.parts import Parts, Placed
+from lierb.model.files.parts import Parts
 
 if TYPE_CHECKING:
     from mujoco import MjModel
@@ -16,18 +16,15 @@ if TYPE_CHECKING:
 COORDINATES = {"hinge": "turn", "slide": "slide"}  # by kind of MuJoCo's joint
 
 
-def add_coupling(model: MjModel, k: int, label: str, placed: list[Placed], parts: Parts) -> None:
-    """Add a gear for equality/joint k, y = a₀ + a₁ x, or a motor that holds y = a₀.
-
-    placed : by index of the body.
-    """
+def add_coupling(model: MjModel, k: int, label: str, parts: Parts) -> None:
+    """Add a gear for equality/joint k, y = a₀ + a₁ x, or a motor that holds y = a₀."""
     offset, slope, *rest = (float(x) for x in model.eq_data[k][:5])
     first, second = (int(i[k]) for i in (model.eq_obj1id, model.eq_obj2id))
     couples = second >= 0 and slope != 0.0
     joints = {name: joint for name, _, joint, _ in parts.links}
     ends = []
     for j in (first, second)[: 1 + couples]:
-        link = placed[model.jnt_bodyid[j]].link
+        link = parts.link_of_joint[j]
         ends.append(JointForces(model, j, link, joints[link], None))
     lacking = [end for end in ends if not end.has_force]
     if second >= 0 and np.any(rest):

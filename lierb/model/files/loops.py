@@ -36,7 +36,7 @@ def add_loops(model: MjModel, placed: list[Placed], parts: Parts) -> None:
             parts.left_out.append(f"{label}: an equality that is not active")
             continue
         if maker is None:
-            add_coupling(model, k, label, placed, parts)
+            add_coupling(model, k, label, parts)
             continue
         is_by_sites = int(model.eq_objtype[k]) == int(mujoco.mjtObj.mjOBJ_SITE)
         ends = [

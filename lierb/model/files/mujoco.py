@@ -13,29 +13,47 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from lierb.errors import ArgumentError, LierbError, brief
+from lierb.errors import ArgumentError, LierbError, brief, require_name
 from lierb.model.files.compilation import compiled
 from lierb.model.files.composed_joints import SimpleJoint, composed
 from lierb.model.files.joint_forces import KINDS, JointForces
 from lierb.model.files.loops import add_loops
 from lierb.model.files.parts import GROUND, Parts, Placed
-from lierb.model.files.welded_bodies import WORLD, label_of, moving_body, pose_of, rigid_groups
+from lierb.model.files.welded_bodies import (
+    PART,
+    WORLD,
+    label_of,
+    light_body,
+    moving_body,
+    pose_of,
+    rigid_groups,
+    weighs,
+)
+from lierb.model.joints.joint import Joint
 from lierb.support.arrays import as_positive
 
 if TYPE_CHECKING:
     from mujoco import MjModel
 
+BASES, FRAMES = ("free", "fixed"), ("file", "centre")
 READ_OPTIONS = ("gravity", "density", "viscosity", "disableflags")
 
 
-def read(path: Any, language: str, merge_fixed: bool, limit_stiffness: float | None) -> Parts:
+def read(
+    path: Any, language: str, merge_fixed: bool, limit_stiffness: float | None,
+    base: str | None, frames: str,
+) -> Parts:  # fmt: skip
     """Read the parts of a mechanism from a file.
 
-    language : "MJCF" or "URDF".   limit_stiffness : N m/rad or N/m.
+    language : "MJCF" or "URDF".   limit_stiffness : N m/rad or N/m.   base : "free", "fixed" or
+    None.   frames : "file" or "centre".
 
     Raises ArgumentError for a file that MuJoCo refuses, or that lierb cannot represent.
     """
-    model, left_out = compiled(path, language)
+    if base is not None:
+        require_name("base", base, BASES)
+    require_name("frames", frames, FRAMES)
+    model, left_out = compiled(path, language, base)
     parts = Parts(np.array(model.opt.gravity))
     if limit_stiffness is not None:
         as_positive("limit_stiffness", limit_stiffness, "N m/rad, or N/m")
@@ -46,7 +64,14 @@ def read(path: Any, language: str, merge_fixed: bool, limit_stiffness: float | N
         raise ArgumentError(f"{brief(fspath(path))}: {error}") from error
     if not parts.links:
         raise ArgumentError(f"{brief(fspath(path))} has no body that moves")
+    if parts.light:
+        parts.left_out.append(
+            f"links without mass, which have {PART:.0e} of what hangs on them: "
+            + ", ".join(parts.light)
+        )
     parts.left_out += [*_lacking(model), *left_out]
+    if frames == "centre":
+        parts.move_frames()
     return parts
 
 
@@ -59,27 +84,28 @@ def _add_links(
     for i in range(1, model.nbody):
         on, label = placed[model.body_parentid[i]], label_of(model, i)
         first = model.body_jntadr[i]
-        numbers = range(first, first + model.body_jntnum[i])
         where = on.pose @ pose_of(model.body_pos[i], model.body_quat[i])
         if i not in groups:
             placed.append(Placed(on.link, where))
             if i in lost:
                 parts.left_out.append(f"{lost[i]}; it is part of {on.link}")
             continue
-        try:
-            joint = composed([_simple_joint(model, j) for j in numbers], where)
-        except LierbError as error:
-            raise ArgumentError(f"body {label}: {error}") from error
+        sequence = [*range(first, first + model.body_jntnum[i])]
         name = parts.free_name(model.body(i).name, label)
-        parts.links.append((name, moving_body(model, i, groups[i]), joint, on.link))
         placed.append(Placed(name, np.eye(4)))
-        for j in numbers:
-            acting = JointForces(model, j, label, joint, limit_stiffness)
-            try:
-                parts.forces += [force.on(name) for force in acting.forces()]
-            except LierbError as error:
-                raise ArgumentError(f"{acting.label}: {error}") from error
-            parts.left_out += acting.left_out()
+        body = moving_body(model, i, groups[i])
+        if not any(weighs(model, k) for k in groups[i]):
+            parts.light.append(name)
+        chain = composed([_simple_joint(model, j) for j in sequence], where)
+        parent = on.link
+        for k, joint in enumerate(chain):
+            is_last = k == len(chain) - 1
+            link = name if is_last else parts.free_name(f"{name}_{k + 1}", "")
+            parts.links.append((link, body if is_last else light_body(model, i), joint, parent))
+            within = sequence if len(chain) == 1 else sequence[k : k + 1]
+            _add_forces(model, parts, within, label, link, joint, limit_stiffness)
+            parent = link
+        parts.light += [link for link, *_ in parts.links[-len(chain) : -1]]
     fixed = [
         f"{label_of(model, i)} {model.body_mass[i]:.6g} kg"
         for i in groups[WORLD]
@@ -88,6 +114,21 @@ def _add_links(
     if fixed:
         parts.left_out.append(f"mass of what is welded to the ground: {', '.join(fixed)}")
     return placed
+
+
+def _add_forces(
+    model: MjModel, parts: Parts, numbers: list[int], label: str, link: str, joint: Joint,
+    limit_stiffness: float | None,
+) -> None:  # fmt: skip
+    """Add the forces of a link's joint.   numbers : MuJoCo's indices of what it is composed of."""
+    for j in numbers:
+        parts.link_of_joint[j] = link
+        acting = JointForces(model, j, label, joint, limit_stiffness)
+        try:
+            parts.forces += [force.on(link) for force in acting.forces()]
+        except LierbError as error:
+            raise ArgumentError(f"{acting.label}: {error}") from error
+        parts.left_out += acting.left_out()
 
 
 def _simple_joint(model: MjModel, j: int) -> SimpleJoint:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
+
+import numpy as np
 
 from lierb.model.bodies.body import Body
 from lierb.model.functions.wrenches import Force
@@ -26,12 +28,17 @@ class Placed(NamedTuple):
 
 @dataclass
 class Parts:
-    """Arguments of a `lierb.Mechanism`, and a list of the elements of the file that it lacks."""
+    """Arguments of a `lierb.Mechanism`, and a list of the elements of the file that it lacks.
+
+    link_of_joint : by MuJoCo's index of the joint.   light : names of links without mass.
+    """
 
     gravity: Array
     links: list[tuple[str, Body, Joint, str]] = field(default_factory=list)
     loops: list[tuple[str, Joint, str, str]] = field(default_factory=list)
     forces: list[Force] = field(default_factory=list)
+    link_of_joint: dict[int, str] = field(default_factory=dict)
+    light: list[str] = field(default_factory=list)
     left_out: list[str] = field(default_factory=list)
 
     def free_name(self, given: str, default: str) -> str:
@@ -45,3 +52,28 @@ class Parts:
         if unique != given and given:
             self.left_out.append(f"the name {given!r}: it is {unique}")
         return unique
+
+    def move_frames(self) -> None:
+        """Move the body frames to the centres of mass; their axes stay."""
+        centres = {GROUND: np.zeros(3), **{name: body.com for name, body, _, _ in self.links}}
+
+        def moved(joint: Joint, body: str, parent: str) -> Joint:
+            on_body, on_parent = joint.body_frame.copy(), joint.ground_frame.copy()
+            on_body[:3, 3] -= centres[body]
+            on_parent[:3, 3] -= centres[parent]
+            return replace(joint, body_frame=on_body, ground_frame=on_parent)
+
+        self.links = [
+            (name, _about_centre(body), moved(joint, name, parent), parent)
+            for name, body, joint, parent in self.links
+        ]
+        self.loops = [
+            (name, moved(joint, body, parent), body, parent)
+            for name, joint, body, parent in self.loops
+        ]
+
+
+def _about_centre(body: Body) -> Body:
+    """Return the body in a frame at its centre of mass."""
+    c = body.com
+    return Body(body.mass, body.inertia - body.mass * (c @ c * np.eye(3) - np.outer(c, c)))

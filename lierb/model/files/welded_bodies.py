@@ -15,6 +15,10 @@ if TYPE_CHECKING:
 
 WORLD = 0  # MuJoCo's index of the ground
 
+# Files put bodies without mass between the joints of a mobile base or of a shoulder. Such a link
+# gets this part of the mass and the inertia of what hangs on it, which is nearly rounding.
+PART = 1e-12
+
 
 def label_of(model: MjModel, i: int) -> str:
     """Name of body i in the file."""
@@ -34,20 +38,43 @@ def pose_of(position: Array, quaternion: Array) -> Array:
 def moving_body(model: MjModel, i: int, members: list[int]) -> Body:
     """Return the body of a link. members : i, and the bodies merged with it.
 
-    Raises ArgumentError with their names if the mass is zero or the inertia is not physical.
+    Without any mass it is light, by all that hangs on it. Raises ArgumentError with their names if
+    nothing with a mass does, or if the inertia is not physical.
     """
-    label = label_of(model, i)
-    if not model.body_mass[members].sum():
-        raise ArgumentError(
-            f"body {label} moves and has no mass, so that its mass matrix is singular; give it "
-            "one, or weld it to another"
-        )
+    label, counted = label_of(model, i), members
+    is_light = not any(weighs(model, k) for k in members)
+    if is_light:
+        counted = _hanging_on(model, i)
+        if not any(weighs(model, k) for k in counted):
+            raise ArgumentError(
+                f"body {label} moves and has no mass, so that its mass matrix is singular; give it "
+                "one, or weld it to another"
+            )
     try:
-        return _sum(model, i, members)
+        body = _sum(model, i, counted)
+        return _light(body) if is_light else body
     except LierbError as error:
-        others = ", ".join(label_of(model, k) for k in members if k != i and _weighs(model, k))
+        others = ", ".join(label_of(model, k) for k in members if k != i and weighs(model, k))
         welded = f", with {others} welded to it" if others else ""
         raise ArgumentError(f"body {label}{welded}: {error}") from error
+
+
+def light_body(model: MjModel, i: int) -> Body:
+    """Return the body, in the frame of body i, of a link without mass that body i hangs on."""
+    return _light(_sum(model, i, _hanging_on(model, i)))
+
+
+def _light(body: Body) -> Body:
+    return Body(PART * body.mass, PART * body.inertia, body.com)
+
+
+def _hanging_on(model: MjModel, i: int) -> list[int]:
+    """Return body i and all bodies whose way to the ground leads over it."""
+    hanging = [i]
+    for k in range(i + 1, model.nbody):
+        if model.body_parentid[k] in hanging:
+            hanging.append(k)
+    return hanging
 
 
 def _sum(model: MjModel, i: int, members: list[int]) -> Body:
@@ -65,7 +92,7 @@ def _sum(model: MjModel, i: int, members: list[int]) -> Body:
 
 
 def _pose_in(model: MjModel, i: int, k: int) -> Array:
-    """Return the pose of body k in the frame of i, to which it is welded."""
+    """Return the pose of body k in the frame of i at qpos0; k hangs on i."""
     if k == i:
         return np.eye(4)
     return _pose_in(model, i, model.body_parentid[k]) @ pose_of(
@@ -82,7 +109,7 @@ def _refusal(model: MjModel, i: int, members: list[int]) -> str:
     return ""
 
 
-def _weighs(model: MjModel, i: int) -> bool:
+def weighs(model: MjModel, i: int) -> bool:
     return bool(model.body_mass[i] or np.any(model.body_inertia[i]))
 
 
@@ -104,7 +131,7 @@ def rigid_groups(model: MjModel, merge_fixed: bool) -> tuple[dict[int, list[int]
         return [k for k, owner in enumerate(owners) if owner == i]
 
     def merge(i: int, because_of: int, reason: str) -> None:
-        if _weighs(model, i) and any(_weighs(model, k) for k in members(because_of)):
+        if weighs(model, i) and any(weighs(model, k) for k in members(because_of)):
             lost[i] = (
                 f"body {label_of(model, i)} as a link of its own: "
                 f"{label_of(model, because_of)}'s {reason}"

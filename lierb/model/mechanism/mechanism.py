@@ -17,6 +17,7 @@ from lierb.model.mechanism.holding import closed_at
 from lierb.model.mechanism.kinematics import TreeKinematics
 from lierb.model.mechanism.links import ByLink, Link, Loop
 from lierb.model.mechanism.plan import formulation_of, mechanism_plan_of
+from lierb.model.mechanism.regularity import require_regular
 from lierb.model.mechanism.start_checks import immobile, start_of_mechanism, violation_of
 from lierb.support.arrays import Array, as_number, finite
 
@@ -82,12 +83,19 @@ class Mechanism(TreeKinematics):
 
     @classmethod
     def from_mjcf(
-        cls, path: Any, *, merge_fixed: bool = False, limit_stiffness: float | None = None
+        cls,
+        path: Any,
+        *,
+        base: str | None = None,
+        frames: str = "file",
+        merge_fixed: bool = False,
+        limit_stiffness: float | None = None,
     ) -> Mechanism:
         """Read the mechanism of an MJCF file, MuJoCo's format.
 
-        Bodies keep their names and frames. Hinge, slide, ball and free joints become joints of the
-        catalogue; several on one body become the joint that combines them, such as universal.
+        Bodies keep their names. Hinge, slide, ball and free joints become joints of the catalogue;
+        several on one body become the joint that combines them, such as universal, or else links
+        without mass between them. A link without mass has 1e-12 of what hangs on it.
         `equality/connect` and `weld` become loops, `equality/joint` gears. Springs and dampers of
         joints that keep their axis become forces. `pose()` is the pose at qpos0. A LeftOutWarning
         lists the elements that are left out: contacts, friction, actuators, tendons and others.
@@ -97,6 +105,12 @@ class Mechanism(TreeKinematics):
         ----------
         path : path
             The file. Paths of included files and meshes are relative to it.
+        base : {"free", "fixed"}, optional
+            With "free", bodies that the file puts on the ground without a joint move freely; with
+            "fixed", free joints on the ground are removed. Default: as in the file.
+        frames : {"file", "centre"}, optional
+            With "centre", body frames are moved to the centres of mass, as cspace="SO3xR3" needs
+            them; their axes stay. Default: those of the file.
         merge_fixed : bool, optional
             Merge bodies that are welded to each other into one link, instead of one link for each,
             on a fixed joint. A welded body without mass, or with an inertia that no rigid body has,
@@ -113,10 +127,10 @@ class Mechanism(TreeKinematics):
         Raises
         ------
         ArgumentError
-            MuJoCo refuses the file or is not installed; the catalogue has no joint that combines
-            those of a body; or a moving link has no mass or an inertia that no rigid body has.
+            MuJoCo refuses the file or is not installed; a moving link has an inertia that no rigid
+            body has; or a link without mass can move without a link that has one.
         """
-        return cls._of_file(path, "MJCF", None, merge_fixed, limit_stiffness)
+        return cls._of_file(path, "MJCF", None, merge_fixed, limit_stiffness, base, frames)
 
     @classmethod
     def from_urdf(
@@ -124,10 +138,12 @@ class Mechanism(TreeKinematics):
         path: Any,
         *,
         gravity: ArrayLike = (0.0, 0.0, -9.81),
+        base: str | None = None,
+        frames: str = "file",
         merge_fixed: bool = False,
         limit_stiffness: float | None = None,
     ) -> Mechanism:
-        """Read the mechanism of a URDF file; its root link is the ground.
+        """Read the mechanism of a URDF file; its root link is the ground, unless base="free".
 
         Revolute and continuous, prismatic, fixed, planar and floating joints are read by MuJoCo's
         compiler, as in `from_mjcf`. Mimics become gears.
@@ -138,6 +154,8 @@ class Mechanism(TreeKinematics):
             The file. Meshes are not read: masses are those in <inertial>.
         gravity : array_like, shape (3,) or (n, 3), optional
             Acceleration of gravity, m/s², which URDF does not have.
+        base, frames : str, optional
+            As in `from_mjcf`.
         merge_fixed : bool, optional
             Merge welded bodies into one link, as in `from_mjcf`.
         limit_stiffness : float, optional
@@ -153,19 +171,22 @@ class Mechanism(TreeKinematics):
         ArgumentError
             MuJoCo refuses the file or is not installed.
         """
-        return cls._of_file(path, "URDF", gravity, merge_fixed, limit_stiffness)
+        return cls._of_file(path, "URDF", gravity, merge_fixed, limit_stiffness, base, frames)
 
     @classmethod
     def _of_file(cls, path: Any, language: str, gravity: Any, *options: Any) -> Mechanism:
         parts = model_files.read(path, language, *options)
         if parts.left_out:
             warnings.warn(LeftOutWarning(path, parts.left_out), stacklevel=3)
-        return cls(
+        mechanism = cls(
             [Link(*link) for link in parts.links],
             [Loop(*loop) for loop in parts.loops],
             parts.gravity if gravity is None else gravity,
             parts.forces,
         )
+        if parts.light:
+            require_regular(mechanism, parts.light)
+        return mechanism
 
     # ---- runs ------------------------------------------------------------------------------------
 

@@ -1,0 +1,52 @@
+"""Regular mass matrices of mechanisms with links without mass."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from lierb.errors import ArgumentError
+from lierb.model.bodies.body import Body
+from lierb.model.joints.coordinates import motions_of
+from lierb.model.mechanism.kinematics import TreeKinematics
+from lierb.support.arrays import Array
+
+LEAST = 1e-9  # smallest eigenvalue of a regular mass matrix with ones on its diagonal
+
+
+def require_regular(mechanism: TreeKinematics, names: list[str]) -> None:
+    """Raise ArgumentError if a motion at coordinates 0 has no energy but that of the light links.
+
+    names : of the light links.
+    """
+    pose = mechanism.pose()
+    moves = [
+        (link.name, mechanism.twist({link.name: rate}, pose))
+        for link in mechanism.links
+        if (motions := motions_of(link.joint))
+        for rate in np.eye(len(motions.names))
+    ]
+    momenta = [
+        np.concatenate([_momentum(x.body, twist[x.name]) for x in mechanism.links])
+        for _, twist in moves
+    ]
+    twists = [np.concatenate([twist[x.name] for x in mechanism.links]) for _, twist in moves]
+    mass = np.array(twists) @ np.array(momenta).T
+    scale = 1.0 / np.sqrt(np.diag(mass))
+    values, vectors = np.linalg.eigh(scale[:, None] * mass * scale)
+    if values[0] < LEAST:
+        sizes = [
+            abs(x) if name in names else 0.0
+            for x, (name, _) in zip(vectors[:, 0], moves, strict=True)
+        ]
+        name, _ = moves[int(np.argmax(sizes))]
+        raise ArgumentError(
+            f"body {name} moves and has no mass, and can move without what hangs on it: the mass "
+            "matrix is singular; give it a mass, or weld it to another"
+        )
+
+
+def _momentum(body: Body, twist: Array) -> Array:
+    """Return angular momentum about the frame's origin and momentum, in body axes."""
+    omega, v = twist[:3], twist[3:]
+    momentum = body.mass * (v + np.cross(omega, body.com))
+    return np.concatenate((body.inertia @ omega + body.mass * np.cross(body.com, v), momentum))
