@@ -735,7 +735,8 @@ def test_c41_a_base_floats_or_is_fixed(tmp_path):
 def test_c41_the_root_of_a_urdf_floats(tmp_path):
     """The root has its mass; the momentum of all stays. Right: gravity's impulse."""
     text = """<robot name="r"><link name="trunk"><inertial><origin xyz="0.05 0 0.1"/>
-      <mass value="4"/><inertia ixx="0.1" iyy="0.12" izz="0.05" ixy="0" ixz="0" iyz="0"/></inertial></link>
+      <mass value="4"/><inertia ixx="0.1" iyy="0.12" izz="0.05" ixy="0" ixz="0" iyz="0"/>
+      </inertial></link>
       <link name="leg"><inertial><origin xyz="0.1 0.02 -0.3"/><mass value="1.3"/>
       <inertia ixx="0.03" iyy="0.02" izz="0.025" ixy="0" ixz="0" iyz="0"/></inertial></link>
       <joint name="hip" type="continuous"><parent link="trunk"/><child link="leg"/>
