@@ -730,6 +730,27 @@ def test_results_are_not_run_over(whole, tmp_path):
     assert hashes(whole) == before
 
 
+def test_results_are_run_over_on_request(tmp_path):
+    """The folder is that of the new study alone; files of the user's stay."""
+    lierb.run(study(sample={"n": 30}), tmp_path / "first")
+    (tmp_path / "first" / "notes.txt").write_text("mine")
+    dataset = lierb.run(study(sample={"seed": 4}), tmp_path / "first", overwrite=True)
+    lierb.run(study(sample={"seed": 4}), tmp_path / "second")
+    assert (tmp_path / "first" / "notes.txt").read_text() == "mine"
+    (tmp_path / "first" / "notes.txt").unlink()
+    assert hashes(tmp_path / "first") == hashes(tmp_path / "second")
+    assert dataset.table("summary").count_rows() == 4 * study().sample.n
+    with pytest.raises(
+        lierb.errors.ArgumentError, match="resume=True keeps what overwrite=True deletes"
+    ):
+        lierb.run(study(), tmp_path / "first", resume=True, overwrite=True)
+    (tmp_path / "s.toml").write_text(study().to_toml())
+    assert (
+        command("run", tmp_path / "s.toml", "--out", tmp_path / "first", "--overwrite").exit_code
+        == 0
+    )
+
+
 def test_damaged_and_lost_parts_are_done_again(whole, tmp_path):
     lierb.run(study(), tmp_path)
     parts = sorted((tmp_path / "summary").iterdir())

@@ -120,6 +120,9 @@ RANK_BY = click.option(
 )  # fmt: skip
 @click.option("--resume", is_flag=True, help="Continue an earlier run.")
 @click.option(
+    "--overwrite", is_flag=True, help="Delete the results of an earlier run in DIR first."
+)
+@click.option(
     "--threads", type=click.IntRange(min=1),
     help="Threads to use, in each worker of a cluster.  [default: all that it has]",
 )  # fmt: skip
@@ -149,6 +152,7 @@ def run(
     stop_when: str | None,
     out: str | None,
     resume: bool,
+    overwrite: bool,
     threads: int | None,
     workers: int | None,
     scheduler: str | None,
@@ -188,8 +192,8 @@ def run(
     try:
         with _client(workers, scheduler) as client, warnings_collected():
             dataset = run_study(
-                study, folder, changes=changes, resume=resume, threads=threads,
-                client=client, gather=gather,
+                study, folder, changes=changes, resume=resume, overwrite=overwrite,
+                threads=threads, client=client, gather=gather,
             )  # fmt: skip
     except KeyboardInterrupt:
         again = _to_go_on(study, changes, out, folder)

@@ -38,8 +38,9 @@ def loaded(
 
 
 def opened(
-    store: Store, study: Study, text: str, changes: Mapping[str, Any], resume: bool
-) -> Parts:
+    store: Store, study: Study, text: str, changes: Mapping[str, Any], resume: bool,
+    overwrite: bool,
+) -> Parts:  # fmt: skip
     """Begin or resume a study in its folder, and check the finished parts; return all parts.
 
     Raises StudyError for a folder that is not the study's; see `lierb.studies.dataset`.
@@ -47,17 +48,20 @@ def opened(
     parts = Parts(study)
     if store.exists():
         store.read()
+    if overwrite:
+        store.clear()
     is_same = store.manifest.get("digest") == study.digest()
     if store.parts and not is_same:
         begun = ", ".join(written(store.changes))
         raise StudyError(
             f"{store.folder} has the results of another study: {_differences(store, study)}"
             + (f"; it was run with {begun}" if begun else "")
+            + "; --overwrite (overwrite=True) deletes them"
         )
     if store.parts and not resume:
         raise StudyError(
             f"{store.folder} has results of this study already; --resume (resume=True) computes "
-            "missing parts, or choose another folder"
+            "missing parts, --overwrite (overwrite=True) deletes them, or choose another folder"
         )
     unentered(store, parts if is_same else None)
     if not store.parts:

@@ -41,6 +41,7 @@ def run(
     *,
     changes: Mapping[str, Any] | None = None,
     resume: bool = False,
+    overwrite: bool = False,
     threads: int | None = None,
     progress: Progress = None,
     client: Client | None = None,
@@ -53,6 +54,7 @@ def run(
     out: str | Path,
     changes: Mapping[str, Any] | None = None,
     resume: bool = False,
+    overwrite: bool = False,
     threads: int | None = None,
     progress: Progress = None,
     client: Client | None = None,
@@ -66,6 +68,7 @@ def run(
     *,
     changes: Mapping[str, Any] | None = None,
     resume: bool = False,
+    overwrite: bool = False,
     threads: int | None = None,
     progress: Progress = None,
     client: Client | None = None,
@@ -79,6 +82,7 @@ def run(
     *,
     changes: Mapping[str, Any] | None = None,
     resume: bool = False,
+    overwrite: bool = False,
     threads: int | None = None,
     progress: Progress = None,
     client: Client | None = None,
@@ -106,6 +110,9 @@ def run(
     resume : bool, optional
         Continue an earlier run of the same study: finished parts are kept, missing or damaged ones
         are run. The results are the same, bit for bit.
+    overwrite : bool, optional
+        Delete the results of an earlier run in the folder, of whichever study, and begin anew.
+        Files that are not a study's stay.
     threads : int, optional
         Number of threads, as in `lierb.integrate`; with `client`, of each worker (None: its own
         number).
@@ -127,9 +134,10 @@ def run(
     Raises
     ------
     StudyError
-        The study is wrong; or the folder has results already (without `resume`), those of another
-        study, other Parquet in its tables' folders, or another run that writes to it; or the
-        cluster has no workers, is lost, or has workers that die again and again at a part.
+        The study is wrong; or the folder has results already (without `resume` or `overwrite`),
+        those of another study, other Parquet in its tables' folders, or another run that writes to
+        it; or the cluster has no workers, is lost, or has workers that die again and again at a
+        part.
     StudyFileError
         A file cannot be written. It is a StudyError and an OSError.
 
@@ -160,12 +168,14 @@ def run(
         raise ArgumentError("gather=True is for the workers of a cluster; give client=")
     if client is not None and client.asynchronous:
         raise ArgumentError("client= is asynchronous; run takes a Client that waits")
+    if resume and overwrite:
+        raise ArgumentError("resume=True keeps what overwrite=True deletes; give one of them")
     study, out = _study_and_folder(study, design, out, settings)
     given, text = loaded(study, changes)
     warn_of_stiff_steps(given, stacklevel=3)
     store = Store(out)
     with store.locked():
-        parts = opened(store, given, text, changes, resume)
+        parts = opened(store, given, text, changes, resume, overwrite)
         in_turn = InTurn(given, parts, store)
         in_turn.enter({})
         done, left = parts.work(store.parts), in_turn.left()

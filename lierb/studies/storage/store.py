@@ -198,6 +198,15 @@ class Store(Results):
                     if names.fullmatch(entry.name) and entry.is_file(follow_symlinks=False):
                         Path(entry.path).unlink(missing_ok=True)
 
+    def clear(self) -> None:
+        """Delete all parts; the manifest, written first, no longer lists them."""
+        files = [file for files in self.parts.values() for file in files]
+        if files:
+            self.parts.clear()
+            self.manifest.pop("stopped", None)
+            self._write_manifest()
+        self.drop(files)
+
     def strays(self) -> list[str]:
         """List Parquet files in the tables' folders that the manifest does not enter, sorted."""
         entered = {file for files in self.parts.values() for file in files}
