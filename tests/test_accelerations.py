@@ -99,7 +99,10 @@ def test_a_pendulum_feels_gravity_and_its_swing(cspace):
     np.testing.assert_allclose(force[0], right, rtol=0, atol=1e-12)
 
 
-@pytest.mark.parametrize("held", ["spherical", "planar", "fixed"])
+@pytest.mark.parametrize(
+    "held",
+    ["spherical", *(pytest.param(name, marks=pytest.mark.long) for name in ("planar", "fixed"))],
+)
 @pytest.mark.slow
 def test_one_body_and_a_mechanism_of_it_feel_the_same(held):
     """Right: another formulation; this one has principal axes and joint points of its own."""
@@ -120,6 +123,7 @@ def test_one_body_and_a_mechanism_of_it_feel_the_same(held):
 M, I, L, C = 1.3, 0.04, 0.8, 0.35  # kg, kg m², m, m
 
 
+@pytest.mark.slow
 def test_c56_a_tip_reads_what_scipy_says():
     """IsaacSim#735, IsaacLab#1294, gazebo#893: accelerations are none, or differences.
 
@@ -166,7 +170,7 @@ def test_c56_a_tip_reads_what_scipy_says():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("cspace", ["reduced", "SE3"])
+@pytest.mark.parametrize("cspace", ["reduced", pytest.param("SE3", marks=pytest.mark.long)])
 def test_readings_are_derivatives_of_the_velocities(cspace):
     """A driven four-bar with a loop. Right: differences of v and ω over 20 µs, of second order."""
     bar = lierb.Body(1.0, (0.001, 0.01, 0.0105))
@@ -256,6 +260,7 @@ def test_forces_and_states_cannot_depend_on_accelerations():
         lierb.wrench(lambda t, R, r, omega, v, alpha: (alpha, v))()
 
 
+@pytest.mark.slow
 def test_a_run_with_accelerations_has_the_same_motion():
     """Right: the bits of the run without."""
     body, held = lierb.Body(1.0, (0.2, 0.25, 0.3)), lierb.joints.spherical((0.1, 0.0, 0.3))

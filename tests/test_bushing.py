@@ -67,7 +67,14 @@ def reference(stiffness, damping, twist):
     return turn, y[4:7], turn.T @ y[7:10], turn.T @ y[10:]
 
 
-@pytest.mark.parametrize("stiffness", [BY_AXIS, COUPLED], ids=["by axis", "coupled"])
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "stiffness",
+    [
+        pytest.param(BY_AXIS, marks=pytest.mark.long, id="by axis"),
+        pytest.param(COUPLED, id="coupled"),
+    ],
+)
 def test_body_moves_as_newton_and_euler_say(stiffness):
     bushing = lierb.forces.bushing(
         BODY_POINT, GROUND_POINT, stiffness=stiffness, damping=DAMPING, axes=AXES, rotation=SLACK
@@ -89,6 +96,7 @@ def test_body_moves_as_newton_and_euler_say(stiffness):
     assert row["energy_drift_max"] < 1e-8
 
 
+@pytest.mark.slow
 def test_turn_about_one_axis_is_a_damped_oscillation():
     """φ¨ + 2ζω₀ φ˙ + ω₀² φ = 0, exactly, to any angle below half a turn."""
     stiffness, damping, inertia = 12.0, 0.6, 0.25
@@ -108,6 +116,7 @@ def test_turn_about_one_axis_is_a_damped_oscillation():
     assert np.arctan2(turn[1, 0], turn[0, 0]) == pytest.approx(angle, abs=1e-9)  # 100 rtol
 
 
+@pytest.mark.slow
 def test_fixed_steps_beyond_the_stability_of_a_stiff_bushing_are_warned_of():
     slide = lierb.joints.prismatic()
     bushing = lierb.forces.bushing(stiffness=(0.0,) * 5 + (1e6,))

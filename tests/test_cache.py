@@ -361,8 +361,8 @@ def push(scale=1.0, twice="2.0 * x", branch="pass"):
 @pytest.mark.parametrize(
     "branch",
     [
-        pytest.param("pass", id="packs"),
-        pytest.param("if v[0] > 100.0: t = 0.0", id="bodies", marks=pytest.mark.long),
+        pytest.param("pass", id="packs", marks=pytest.mark.long),
+        pytest.param("if v[0] > 100.0: t = 0.0", id="bodies"),
     ],
 )
 def test_function_of_the_user_comes_from_the_cache_until_it_is_edited(copy, branch):

@@ -55,7 +55,9 @@ def client():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("workers", [1, 3])  # of two there are tests below
+@pytest.mark.parametrize(
+    "workers", [1, pytest.param(3, marks=pytest.mark.long)]
+)  # of two there are tests below
 def test_bits_do_not_depend_on_workers_or_parts(workers, alone, tmp_path):
     with cluster.local_client(workers) as client:
         for part in (1000, 4096, 10_000):
@@ -67,6 +69,7 @@ def test_bits_do_not_depend_on_workers_or_parts(workers, alone, tmp_path):
         assert hashes(tmp_path / "4096") == hashes(alone)
 
 
+@pytest.mark.slow
 def test_sent_or_written_the_files_are_those_of_one_process(client, alone, tmp_path):
     told = []
     lierb.run(study(**SHORT), tmp_path / "sent", client=client, gather=True)

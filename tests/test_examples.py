@@ -188,6 +188,7 @@ def test_arm_comes_to_rest_where_its_energy_is_least():
         np.testing.assert_allclose(script["place"][-1, k], places(best.x)[1], rtol=0, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_humanoid_keeps_its_angular_momentum():
     """Springs in joints exert no moment about the centre of mass: the rest is the error of RK4."""
     found = example("humanoid")

@@ -86,6 +86,7 @@ SUN, PLANET, RING = 20.0, 16.0, 52.0  # teeth
 PLANETARY = {"carrier": 0.08, "sun": 0.01, "planet": 0.004}
 
 
+@pytest.mark.slow
 def test_a_planetary_gear_has_the_ratio_of_willis():
     """Ring on the ground, a torque on the sun. Right: ω_s = (1 + z_r/z_s) ω_c, and the energy."""
     arm, mass, torque = 0.09, 0.6, 0.5
@@ -116,6 +117,7 @@ def test_a_planetary_gear_has_the_ratio_of_willis():
     assert abs(summed(result, "energy_drift_max")[0]) < 1e-9  # of RK4, 70 rad
 
 
+@pytest.mark.slow
 def test_a_differential_shares_torque():
     """Bevel gears, axes across each other. Right: two decoupled modes, of cage and spider."""
     side, cage, cross, across = 0.02, 0.05, 0.003, 0.006
@@ -190,7 +192,7 @@ OPTIONS = {
 }
 
 
-SLOW = ["SE3", "projected", "adaptive", "Rosenbrock"]
+SLOW = ["SE3", "projected"]
 
 
 @pytest.mark.parametrize("options", tiered(OPTIONS, ["reduced"], SLOW))
@@ -394,6 +396,7 @@ def read(path, text):
     return machine, caught[0].message.left_out
 
 
+@pytest.mark.slow
 def test_equalities_of_joints_are_gears_that_accelerate_as_in_mujoco(tmp_path):
     """Right: KKT of MuJoCo's mass matrix and bias, with the rows of the file."""
     machine, left_out = read(tmp_path / "coupled.xml", COUPLED.format(more=""))

@@ -42,7 +42,7 @@ OPTIONS = {
 }
 
 
-SLOW = ["projected", "SE3", "adaptive", "Rosenbrock"]
+SLOW = ["projected", "Rosenbrock"]
 
 
 @pytest.mark.parametrize("options", tiered(OPTIONS, ["fixed"], SLOW))
@@ -107,6 +107,7 @@ def test_a_start_must_have_position_and_speed():
     assert machine.freedoms() == (1, 0)  # motors are not counted
 
 
+@pytest.mark.slow
 def test_one_body_takes_a_position_as_well():
     """On a cylindrical joint `coordinate` says which. Right: m (g + z̈) of the slide."""
     held, motor = lierb.joints.cylindrical(), lierb.forces.motor

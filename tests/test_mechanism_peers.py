@@ -81,7 +81,7 @@ def test_lierb_starts_where_the_others_do():
     [
         ("mujoco_batch", "chain2", RK4),
         ("mujoco_batch", "fourbar", 1e-5),
-        pytest.param("cpp", "chain2-bodies", RK4, marks=pytest.mark.slow),
+        pytest.param("cpp", "chain2-bodies", RK4, marks=pytest.mark.long),
         pytest.param("cpp", "chain2-series", RK4, marks=pytest.mark.slow),
     ],
 )

@@ -280,6 +280,7 @@ def test_rows_of_a_mechanism_are_those_of_integrate(whole):
         np.testing.assert_array_equal(found, draws[name])
 
 
+@pytest.mark.slow
 def test_bits_of_mechanisms_do_not_depend_on_parts(whole, tmp_path):
     lierb.run(whole / "study.toml", tmp_path / "out", changes={"output.part": 7})
     assert bits(tmp_path / "out") == bits(whole)

@@ -46,6 +46,7 @@ def test_order_begins_with_the_worst():
     assert Ranking("x").order(np.full(3, np.nan)).size == 0
 
 
+@pytest.mark.slow
 def test_default_is_the_rule_or_the_observable_or_the_errors(dataset):
     assert rankings(dataset, study()) == [Ranking("height_max")]
     assert rankings(dataset, study(stop_when=RULE)) == [Ranking("energy_drift_max")]
@@ -63,6 +64,7 @@ def test_ranking_refuses_what_is_no_column_of_numbers(name):
         ranking_named(study(), name)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("blank_pictures")
 @pytest.mark.parametrize("rank_by", [None, "-height_mean"])
 def test_report_lists_and_animates_the_worst(dataset, tmp_path, rank_by):
@@ -91,6 +93,7 @@ def test_report_lists_and_animates_the_worst(dataset, tmp_path, rank_by):
     assert (f"--rank-by={rank_by}" in page) == (rank_by is not None)
 
 
+@pytest.mark.slow
 def test_figure_of_parameters_shows_the_ranked_column(dataset):
     pytest.importorskip("matplotlib")
     from lierb.studies.pages.figures import sheets

@@ -82,6 +82,7 @@ def text(dataset):
     return write_report(dataset, dataset.folder / "report.html").read_text(encoding="utf-8")
 
 
+@pytest.mark.slow
 def test_page_is_complete(text):
     page = Page(text)
     assert page.texts["h2"] == [
@@ -256,7 +257,10 @@ HARD = {  # what a study may find, and its figures
 APPLICABLE = {"all failed": 4, "one body, one step": 3, "no error at all": 4}
 
 
-@pytest.fixture(scope="module", params=HARD)
+@pytest.fixture(
+    scope="module",
+    params=[pytest.param(n, marks=pytest.mark.long) if n.startswith("names") else n for n in HARD],
+)
 def hard(request, tmp_path_factory):
     given = study(**HARD[request.param])
     if request.param.startswith("names"):

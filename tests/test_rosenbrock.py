@@ -269,6 +269,7 @@ def test_explicit_run_that_stability_limits_says_so():
         lierb.integrate(braked(1e-4), twist0=twist0, rtol=1e-6, t_end=2.0)
 
 
+@pytest.mark.slow
 def test_explicit_run_that_accuracy_limits_says_nothing(recwarn):
     """A tumbling body, whose drag decays within seconds."""
     body = lierb.Body(1.0, (0.02, 0.03, 0.04))
@@ -313,6 +314,7 @@ def by_radau(pose, twist, times):
     return solve_ivp(rate, times, start, "Radau", rtol=1e-9, atol=1e-9).y[:, -1]
 
 
+@pytest.mark.slow
 def test_stiff_bushing_agrees_with_radau_in_few_steps():
     problem, pose, twist = hung()
     result = lierb.integrate(
@@ -371,7 +373,13 @@ def flight():
 TWIST = np.array((1.0, 2.0, 3.0, 0.4, 0.2, 0.3))
 
 
-@pytest.mark.parametrize("method", ["Rodas4", pytest.param("Rodas5P", marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "method",
+    [
+        pytest.param("Rodas4", marks=pytest.mark.slow),
+        pytest.param("Rodas5P", marks=pytest.mark.long),
+    ],
+)
 def test_functions_of_time_and_states_events_and_output_between_steps(method):
     """Beside DOP853 at 1e-11, whose steps are independent: rows, states, work, crossings."""
     times = [0.1, 0.45, 0.8]
@@ -385,7 +393,7 @@ def test_functions_of_time_and_states_events_and_output_between_steps(method):
     np.testing.assert_allclose(result.events["t"], truth.events["t"], atol=1e-6)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_mechanism_with_a_loop_agrees_with_an_explicit_method():
     """A four-bar, projected after each step: 10 rtol."""
     mechanism = four_bar()
@@ -403,6 +411,7 @@ def test_mechanism_with_a_loop_agrees_with_an_explicit_method():
     assert rodas["position_error_max"][0].as_py() < 1e-12
 
 
+@pytest.mark.slow
 def test_numbers_of_a_trajectory_do_not_depend_on_its_neighbours():
     problem, _ = tilted("spherical")
     rng = np.random.default_rng(3)

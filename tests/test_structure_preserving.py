@@ -108,6 +108,7 @@ def slopes(errors) -> np.ndarray:
     return np.log2(errors[:-1] / errors[1:])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "cspace"), forms())
 def test_heavy_top_has_the_order(name, cspace):
     """Pose, velocity and λ: the top turns by 150 rad in the run, at up to 0.15 rad in a step."""
@@ -163,7 +164,7 @@ def test_forces_that_depend_on_velocity_and_time_have_the_order_documented(name)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["Verlet", "RATTLie"])
+@pytest.mark.parametrize("name", [pytest.param("Verlet", marks=pytest.mark.long), "RATTLie"])
 def test_output_between_steps_and_events_have_order_2(name):
     problem, twist0 = box_top()
 
@@ -183,6 +184,7 @@ def test_output_between_steps_and_events_have_order_2(name):
     np.testing.assert_allclose(slopes(errors), 2.0, atol=0.15)
 
 
+@pytest.mark.slow
 def test_heavy_top_reaches_the_motion_of_another_library():
     """Kynema-FMB's generalised α; errors of Verlet4 at this step are 4e-7, its own about 1e-7."""
     problem, twist0 = top()

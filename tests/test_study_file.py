@@ -388,6 +388,7 @@ PLACES = st.sampled_from(
 )
 
 
+@pytest.mark.slow
 @settings(max_examples=60, deadline=None, suppress_health_check=list(HealthCheck), derandomize=True)
 @given(changes=st.dictionaries(PLACES, THINGS, min_size=1, max_size=2))
 def test_what_is_taken_is_the_same_when_it_was_written(changes):

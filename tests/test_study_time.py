@@ -108,6 +108,7 @@ def test_tables_are_those_of_integrate(whole):
     assert as_array(found["trajectory"]).max() > 16
 
 
+@pytest.mark.slow
 def test_settings_and_steps_are_columns(whole):
     found = table(whole)
     assert found.column_names[:4] == ["cspace", "method", "rtol", "trajectory"]
@@ -246,7 +247,7 @@ def test_noise_is_drawn_by_seed_and_number(tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "gather", [False, pytest.param(True, marks=pytest.mark.long)], ids=["shared", "gather"]
+    "gather", [pytest.param(False, marks=pytest.mark.long), True], ids=["shared", "gather"]
 )
 def test_workers_give_the_same_bytes(gather, whole, tmp_path):
     pytest.importorskip("distributed")

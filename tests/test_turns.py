@@ -37,7 +37,7 @@ ADAPTIVE = {"rtol": 1e-10, "method": "DOP853"}
     "options",
     [
         {"dt": 1e-3},
-        pytest.param(ADAPTIVE, marks=pytest.mark.slow),
+        pytest.param(ADAPTIVE, marks=pytest.mark.long),
         pytest.param({"rtol": 1e-10, "method": "Rodas5P"}, marks=pytest.mark.slow),
     ],
     ids=["fixed", "adaptive", "Rosenbrock"],
@@ -64,6 +64,7 @@ def test_a_spring_is_wound_by_many_turns(options):
     assert result.history.schema.field("turned").metadata[b"unit"] == b"rad"
 
 
+@pytest.mark.slow
 def test_the_start_is_that_of_the_pose_nearest_to_the_one_given():
     """Right: ten turns and 1 rad, whatever is given within half a turn of it."""
     held, whole = lierb.joints.revolute(), 20.0 * np.pi + 1.0
@@ -154,6 +155,7 @@ def test_part_of_a_batch_counts_as_before():
     assert summed(result, "turned")[0] == summed(whole, "turned")[2]
 
 
+@pytest.mark.slow
 def test_each_force_counts_the_turns_of_its_own_joint():
     """Two wheels; the second state is behind a user's vector. Right: cosines."""
 

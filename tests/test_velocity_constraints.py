@@ -174,6 +174,7 @@ def test_a_ball_on_a_turntable_moves_in_circles():
 # ---- starts and refusals -----------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_start_must_not_slip():
     problem = sleigh()
     with pytest.raises(TwistError, match=r"blade: 0\.5.*problem\.project"):

@@ -138,6 +138,7 @@ def test_fixed_steps_are_shortened_where_a_controller_ticks():
     np.testing.assert_allclose(column(result.summary, "omega"), w, atol=1e-13)
 
 
+@pytest.mark.slow
 def test_outputs_are_held_between_ticks_and_zero_before_the_first():
     """t0 is no multiple of the period: nothing acts until the first one."""
     times = (0.05, 0.07, 0.09, 0.1, 0.15, 0.19, 0.2, 0.25)
@@ -169,6 +170,7 @@ def test_memory_starts_where_it_is_told():
     np.testing.assert_array_equal(column(summary, "ticks"), [6.0, 16.0])  # at 0, 0.1, … 0.5
 
 
+@pytest.mark.slow
 def test_the_period_may_be_each_trajectorys_own():
     summary = counted(counter(every=np.array([0.1, 0.25, 0.3])), 3, 0.95)
     np.testing.assert_array_equal(column(summary, "ticks"), [10.0, 4.0, 4.0])
@@ -336,6 +338,7 @@ def test_noise_is_the_same_when_replayed_alone(which, whole):
     )
 
 
+@pytest.mark.slow
 def test_noise_is_that_of_its_number_not_of_its_place(whole):
     """Left out, numbers are 0 … n − 1: trajectory 5 alone is another one's noise."""
     rotation, omega = fleet(17)

@@ -84,6 +84,7 @@ def test_free_fall_crosses_when_it_should(clock, cspace):
             np.testing.assert_allclose(seen(result, i, event), true, rtol=0, atol=EXACT)
 
 
+@pytest.mark.slow
 def test_direction_selects_crossings():
     problem, start = thrown(
         0.5, 5.0,
@@ -173,6 +174,7 @@ def test_a_turning_ball_crosses_again_and_again():
         np.testing.assert_allclose(seen(result, i), true[true < 1.0], rtol=0, atol=EXACT)
 
 
+@pytest.mark.slow
 def test_an_event_that_starts_at_zero_waits_for_the_next_crossing():
     """R₂₁ = sin ωt is zero at t = 0, and there is no crossing: half a turn later there is."""
     problem, start = spinning([np.pi], events=[turned(sine=0.0), NEVER_SO_FAST])

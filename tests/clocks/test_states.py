@@ -31,6 +31,7 @@ def test_a_first_order_filter_settles_as_an_exponential(clock):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rtol", [1e-4, 1e-7, 1e-10])
 def test_a_states_error_is_within_thirty_times_rtol(rtol):
     """The body asks for no steps at all: the filter does."""

@@ -87,10 +87,10 @@ def allowed(kind, rtol):
     [
         ("joint_limit", "DOP853"),
         *(
-            pytest.param(*case, marks=pytest.mark.slow)
-            for case in (("traced", "DOP853"), ("body by body", "Tsit5"))
+            pytest.param(*case, marks=pytest.mark.long)
+            for case in (("body by body", "Tsit5"), ("joint_limit", "Tsit5"))
         ),
-        pytest.param("joint_limit", "Tsit5", marks=pytest.mark.long),
+        pytest.param("traced", "DOP853", marks=pytest.mark.slow),
     ],
 )
 def test_integrate_meets_every_stop(kind, method):
@@ -281,7 +281,10 @@ def test_discontinuities_are_met_by_steps(steps):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("steps", [{"rtol": 1e-6}, {"dt": 100 / 777, "method": "DOP853"}])
+@pytest.mark.parametrize(
+    "steps",
+    [{"rtol": 1e-6}, pytest.param({"dt": 100 / 777, "method": "DOP853"}, marks=pytest.mark.long)],
+)
 def test_discontinuities_of_a_wrench_are_each_trajectory_s_own(steps):
     on, off = np.array([50.0, 20.0, 99.0, 0.0, 3.0]), np.array([51.0, 20.1, 100.0, 1e-3, 3.0])
     problem = rotor(forces=own_pulse(on=on, off=off))
@@ -294,6 +297,7 @@ def test_discontinuities_of_a_wrench_are_each_trajectory_s_own(steps):
     assert gained(alone)[0] == gained(result)[1]
 
 
+@pytest.mark.slow
 def test_discontinuities_break_nothing_that_goes_on():
     """A run that ends at a jump and another one from there are the whole run."""
     problem = rotor(forces=own_pulse(on=2.0, off=3.5))

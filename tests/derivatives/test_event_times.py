@@ -51,7 +51,10 @@ def flight(speed, g=G, height=0.2, start=1.0):
 
 @pytest.mark.parametrize(
     "options",
-    [{}, pytest.param({"rtol": None, "dt": 1e-3, "method": "RK4"}, marks=pytest.mark.slow)],
+    [
+        pytest.param({}, marks=pytest.mark.slow),
+        pytest.param({"rtol": None, "dt": 1e-3, "method": "RK4"}, marks=pytest.mark.long),
+    ],
     ids=["adaptive", "fixed"],
 )
 def test_times_of_terminal_events_have_exact_derivatives(options):
@@ -124,7 +127,7 @@ def test_rows_before_the_event_are_at_fixed_times_and_later_ones_nan():
     assert np.isnan(rows[2]).all()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_an_event_that_does_not_end_the_run_changes_nothing():
     result = thrown(events=passes(), t_end=0.9, with_respect_to="twist0")
     assert result.events.num_rows == 1

@@ -143,6 +143,7 @@ def test_a_centre_of_mass_on_another_cspace_is_refused():
     refused(free_body(), 'body.com cannot change on cspace="SO3xR3"', "body.com", cspace="SO3xR3")
 
 
+@pytest.mark.slow
 def test_runs_that_continue_are_refused_and_copies_of_their_poses_are_not():
     problem, _ = top()
     end = spun().end
@@ -190,6 +191,7 @@ def test_derivatives_larger_than_the_memory_are_refused():
 # ---- tables ------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_tables_have_the_rows_of_the_run_and_units():
     result = spun(
         save_every=5, record=("state", "multipliers", "reaction"),
@@ -211,6 +213,7 @@ def test_tables_have_the_rows_of_the_run_and_units():
     assert np.array_equal(last, result.sensitivity("reaction", "omega0")[-1])
 
 
+@pytest.mark.slow
 def test_a_mechanism_has_columns_of_links_and_joints():
     result = swung(
         save_every=10, record=("multipliers", "reaction"),
@@ -265,6 +268,7 @@ def test_progress_is_that_of_all_runs_together():
     assert seen[-1] == (20, 20)  # ten steps for the three directions of each
 
 
+@pytest.mark.slow
 def test_warnings_of_a_start_point_to_the_callers_line():
     problem, twist = top()
     off = twist + np.array((0.0, 0.0, 0.0, 0.0, 0.0, 0.1))

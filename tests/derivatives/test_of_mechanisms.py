@@ -84,7 +84,7 @@ def bar_of(name, numbers, first, second, weights) -> planar.Bar:
     "options",
     [
         pytest.param({"dt": 1e-4}, marks=pytest.mark.slow),
-        pytest.param({"rtol": 1e-12}, marks=pytest.mark.slow),
+        pytest.param({"rtol": 1e-12}, marks=pytest.mark.long),
         pytest.param({"dt": 1e-4, "cspace": "SE3", "stabilise": "project"}, marks=pytest.mark.long),
     ],
     ids=["reduced", "adaptive", "projected"],
@@ -159,7 +159,7 @@ def four_bar() -> tuple[lierb.Mechanism, dict, dict]:
 
 @pytest.mark.parametrize(
     "stabilise",
-    [pytest.param(None, marks=pytest.mark.long), pytest.param("project", marks=pytest.mark.slow)],
+    [pytest.param(None, marks=pytest.mark.long), pytest.param("project", marks=pytest.mark.long)],
 )
 def test_derivatives_of_a_closed_loop_are_those_of_complex_steps(stabilise):
     mechanism, pose0, twist0 = four_bar()
@@ -217,9 +217,11 @@ def twist_rates(system: oracle.System, state: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize(
     "shape",
-    [pytest.param(s, marks=pytest.mark.slow if s == "four_bar" else pytest.mark.long)
-     for s in ("star", "branched", "four_bar", "slider_crank", "rssr")],
-)  # fmt: skip
+    [
+        pytest.param(s, marks=pytest.mark.slow if s == "star" else pytest.mark.long)
+        for s in ("star", "branched", "four_bar", "slider_crank", "rssr")
+    ],
+)
 def test_the_derivative_along_the_flow_is_the_twist_of_every_link(shape):
     made = sample(shape, 1, centred=False, forces=True)
     names = [samples.link_name(i) for i in range(len(made.description.bodies))]

@@ -153,6 +153,7 @@ def reach(r, R, params):
     return np.sqrt((r + R @ np.array((0.0, 0.0, params.arm))) @ r + 1.0)
 
 
+@pytest.mark.slow
 def test_extra_states_have_the_published_derivatives_of_heyoka():
     # heyoka.py, tutorial on variational equations: ẍ = cos t − 0.4 ẋ − sin x, at t = 3
     problem = lierb.Problem(
@@ -235,6 +236,7 @@ def free_body(**more) -> lierb.Problem:
     return lierb.Problem(lierb.Body(1.0, (1.0, 1.0, 1.0)), lierb.joints.free(), **more)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("force", [one_sided(), untold()], ids=["where", "of a parameter"])
 def test_a_function_that_switches_is_named_in_a_warning(force):
     start = {"twist0": (0.0, 0.0, 0.0, 0.0, 0.0, -1.0), "dt": 0.01, "t_end": 0.1}
@@ -243,6 +245,7 @@ def test_a_function_that_switches_is_named_in_a_warning(force):
     lierb.integrate(free_body(forces=force), **start)  # no warning
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("force", [burn(), kinked()], ids=["declared times", "kinks"])
 def test_continuous_functions_and_declared_times_give_no_warning(force):
     problem = free_body(forces=force)
@@ -268,6 +271,7 @@ def test_a_stop_with_a_damper_warns_and_one_without_does_not():
         )
 
 
+@pytest.mark.slow
 def test_a_declared_time_that_stays_has_exact_derivatives_across_it():
     result = lierb.integrate(
         free_body(forces=burn()), twist0=(0.0,) * 6, dt=0.01, t_end=0.5,

@@ -110,7 +110,13 @@ def test_violations_are_counted_and_can_be_repeated(tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kinds", [FOLDERS, PROCESSES], ids=["folders", "processes"])
+@pytest.mark.parametrize(
+    "kinds",
+    [
+        pytest.param(FOLDERS, marks=pytest.mark.long, id="folders"),
+        pytest.param(PROCESSES, id="processes"),
+    ],
+)
 def test_some_trials_of_each_kind_show_no_violation(kinds, tmp_path):
     counts = run(tmp_path / "figures", *kinds, "--share", 0.001)
     assert {*counts} == {*kinds}

@@ -116,6 +116,7 @@ def windows(count):
 # ---- the same motion and the same forces -------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "case",
     [
@@ -136,7 +137,7 @@ def test_mechanisms_with_usual_loops_share_their_code():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["two_loops", "many_loops"])
+@pytest.mark.parametrize("name", ["two_loops", pytest.param("many_loops", marks=pytest.mark.long)])
 def test_other_joints_close_loops_as_by_unrolled_formulas(name):
     agree(*shape(name))
 
@@ -170,6 +171,7 @@ def driven():
     return mechanism, {"pose0": pose0, "twist0": mechanism.project(twist0, pose0)}
 
 
+@pytest.mark.slow
 def test_motors_constraints_and_forces_in_loops_act_as_by_unrolled_formulas():
     agree(*driven(), stabilise=lierb.baumgarte(5.0, 4.0))
 
@@ -177,6 +179,7 @@ def test_motors_constraints_and_forces_in_loops_act_as_by_unrolled_formulas():
 # ---- the number of dependent rows --------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_rows_that_contradict_each_other_end_a_trajectory():
     """Two motors drive the crank of a four-bar: at one speed they agree, then not."""
     given, start = shape("four_bar")
@@ -189,6 +192,7 @@ def test_rows_that_contradict_each_other_end_a_trajectory():
     assert result.summary["status"].to_pylist() == ["ok", "ok", "singular", "ok"]
 
 
+@pytest.mark.long
 def test_windows_that_lie_down_have_another_rank():
     """Rows that depend on others for one moment are told apart from those that always do."""
     angle = np.array([0.5 * np.pi, 0.3])  # lying, and on the way
@@ -221,11 +225,15 @@ TIGHT = {"dt": None, "rtol": 1e-9, "atol": 1e-9, "t_end": 0.2, "method": "Tsit5"
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("case", [lambda: shape("four_bar"), lambda: chain(9, pins=2)])
+@pytest.mark.parametrize(
+    "case",
+    [pytest.param(lambda: shape("four_bar"), marks=pytest.mark.long), lambda: chain(9, pins=2)],
+)
 def test_projections_move_as_by_unrolled_formulas(case):
     agree(*case(), stabilise="project")
 
 
+@pytest.mark.slow
 def test_adaptive_steps_keep_loops_closed_and_reach_the_motion_of_small_steps():
     mechanism, start = chain(8)
     found = looped(mechanism, start, **TIGHT)
@@ -310,6 +318,7 @@ def blade(omega, v):
     return v[1] + 0.1 * omega[0]
 
 
+@pytest.mark.slow
 def test_given_motions_and_constraints_on_velocities_act_as_in_unrolled_formulas():
     """The counted turns of the driven joint are its position, beyond one turn."""
     base = tree_of(("revolute", "spherical", "revolute", "revolute"), seed=3)

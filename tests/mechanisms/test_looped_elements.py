@@ -78,6 +78,7 @@ def both():
     ]
 
 
+@pytest.mark.slow
 def test_elements_do_what_they_do_in_unrolled_code():
     ours, theirs = both()
     for found, expected in ((ours.summary, theirs.summary), (ours.history, theirs.history)):
@@ -122,6 +123,7 @@ def test_steps_end_at_stops_as_in_unrolled_code():
     assert np.abs(counts[0][1] - counts[1][1]).max() <= 0.2 * counts[1][1].max() + 3
 
 
+@pytest.mark.slow
 def test_bits_of_elements_depend_on_nothing_else(monkeypatch):
     mechanism = made()
     start = start_of(mechanism)
@@ -131,6 +133,7 @@ def test_bits_of_elements_depend_on_nothing_else(monkeypatch):
     np.testing.assert_array_equal(bits(looped(mechanism, start, **ADAPTIVE)), expected)
 
 
+@pytest.mark.slow
 def test_a_run_goes_on_with_states_and_outputs():
     mechanism, options = made(events=[]), ADAPTIVE
     start = start_of(mechanism)

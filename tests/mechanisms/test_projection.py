@@ -112,7 +112,7 @@ JUMP = np.minimum(  # s at which the angle between the wheels, or that of the fi
 @pytest.mark.parametrize(
     "steps",
     [{"dt": 0.01, "method": "Euler"}, {"dt": 0.2, "method": "Euler"},
-     {"rtol": 1e-6, "method": "BS32"}],
+     pytest.param({"rtol": 1e-6, "method": "BS32"}, marks=pytest.mark.long)],
     ids=str,
 )  # fmt: skip
 def test_a_jump_of_a_constraint_ends_singular(steps):

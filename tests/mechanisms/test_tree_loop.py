@@ -110,7 +110,7 @@ def part(start, which):
 # ---- the same motion ---------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("method", ["RK4", pytest.param("DOP853", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("method", ["RK4", pytest.param("DOP853", marks=pytest.mark.long)])
 def test_every_joint_moves_as_by_unrolled_formulas(method):
     agree(tree_of(MOTIONS * 2), method)
 
@@ -121,6 +121,7 @@ def test_random_trees_move_as_by_unrolled_formulas(seed):
     agree(tree_of(rng.choice(MOTIONS, 2 + 2 * seed), seed))
 
 
+@pytest.mark.slow
 def test_links_on_fixed_joints_move_with_their_parents():
     agree(tree_of(("revolute", "fixed", "universal", "fixed", "spherical", "fixed", "revolute")))
 
@@ -130,10 +131,12 @@ def swaying(t, R, r, omega, v, params):
     return -0.1 * omega, R.T @ np.array((np.sin(3.0 * t), 0.0, -params.stiffness * r[2]))
 
 
+@pytest.mark.slow
 def test_a_users_force_acts_as_in_unrolled_formulas():
     agree(tree_of(SIX, forces=(swaying().on("link3"), swaying(stiffness=1.0).on("link5"))))
 
 
+@pytest.mark.slow
 def test_forces_act_as_in_unrolled_formulas():
     spring = lierb.forces.spring_damper(
         (0.1, 0.2, 0.0), (0.5, 0.0, 0.0), stiffness=7.0, damping=0.4, length=0.3
@@ -238,6 +241,7 @@ def test_bits_do_not_depend_on_breaks(monkeypatch):
 ADAPTIVE = {"dt": None, "rtol": 1e-8, "t_end": 0.5, "method": "DOP853"}
 
 
+@pytest.mark.slow
 def test_adaptive_steps_reach_the_motion_of_small_steps():
     """DOP853 at 0.5 ms leaves rounding; the tolerance of a step is 1e-11."""
     mechanism = tree_of(SIX)
@@ -253,6 +257,7 @@ def test_adaptive_steps_reach_the_motion_of_small_steps():
             np.testing.assert_allclose(*pair, rtol=1e-9, atol=1e-8)
 
 
+@pytest.mark.slow
 def test_bits_of_adaptive_steps_depend_on_nothing_else(monkeypatch):
     mechanism = tree_of(SIX)
     start = start_of(mechanism, 19, speed=5.0)

@@ -127,6 +127,7 @@ def test_c44_a_sampled_relay_draws_parabolas():
     np.testing.assert_allclose(result.position[:, 0, 0], seen, rtol=0, atol=1e-13)
 
 
+@pytest.mark.slow
 def test_c44_a_saturated_spring_is_parabola_and_cosine():
     """bullet3#2831 and solver users. Right: a quarter period in closed form.
 

@@ -87,6 +87,7 @@ def test_c15_slider_crank_runs_through_its_dead_points():
 # KmolYuan/Pyslvs-UI#49: a slider-crank that starts in line. Right: what `project` is defined to be.
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("dead_point", ["stretched", "folded"])
 @pytest.mark.parametrize("speed", [1e-3, 30.0, 3e4])
 def test_c15b_twist_of_project_is_taken_in_a_dead_point(dead_point, speed):
@@ -126,7 +127,7 @@ def test_c13_a_double_cardan_turns_by_cardans_formula():
     ("branches", "closed_by", "redundant"),
     [
         (("first",), "cross", 1),
-        (("first", "second"), "bearing", 3),
+        pytest.param(("first", "second"), "bearing", 3, marks=pytest.mark.long),
         pytest.param(("first", "second"), "cross", 3, marks=pytest.mark.long),
     ],
 )
@@ -194,7 +195,7 @@ def governor() -> tuple[lierb.Mechanism, float, float]:
     return machine, across, along
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_c34_a_stiff_governor_moves_as_radau_says():
     """MBSbenchmarksInOpenSim, A05 of the IFToMM library: its numbers. Right: SciPy's Radau.
 
@@ -310,7 +311,7 @@ def accelerations(angles, speed, torque) -> tuple[np.ndarray, np.ndarray]:
     return omega, solution[:27][2::3]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_c40_four_loops_accelerate_as_the_kkt_system_says():
     """cassie-mujoco-sim, mujoco#2172, mujoco#1227: trees with four loops. Right: KKT, by NumPy.
 

@@ -111,6 +111,7 @@ def at_rest(omega):
     return omega[1]
 
 
+@pytest.mark.slow
 def test_c10_a_pendulum_has_its_period_whatever_its_size():
     """newton#2211, mujoco#1086: mm and grams are inflated or refused. 1 m to 1 µm, 1 kg to 1 ag.
 
@@ -183,6 +184,7 @@ VELOCITIES = np.array(
 )
 
 
+@pytest.mark.slow
 def test_c58_a_free_body_turns_as_at_rest_at_orbital_speed():
     """newton#3868. Its frame is off its centre of mass, where ω × v and m v of the frame differ."""
     com = np.array([0.1, -0.05, 0.2])

@@ -43,8 +43,7 @@ SPEEDS = np.linspace(1.0, 20.0, 20)  # rad/s
 
 METHODS = [
     "DOP853",
-    "DP54",
-    *(pytest.param(name, marks=pytest.mark.long) for name in ("Tsit5", "BS32")),
+    *(pytest.param(name, marks=pytest.mark.long) for name in ("DP54", "Tsit5", "BS32")),
 ]
 
 
@@ -62,6 +61,7 @@ def test_c49b_wide_stops_turn_every_wheel_back(method, rtol):
     assert_bounces(result, t, rtol, speeds, -stops, stops, 200.0)
 
 
+@pytest.mark.slow
 def test_c49b_wheel_bounces_for_ever():
     """drake#2516, mujoco#169. 1000 wheels for 100 s, none of which passes through ±180°."""
     speeds = np.linspace(1.0, 20.0, 1000)
