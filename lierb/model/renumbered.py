@@ -65,9 +65,9 @@ def _joint(joint: Joint, numbers: Numbers, prefix: str = "") -> Joint:
     return replace(joint, **changed) if changed else joint
 
 
-def _elements(model: Model, numbers: Numbers, prefix: str) -> dict[str, list[Element]]:
+def _elements(model: Model, numbers: Numbers, prefix: str) -> dict[str, Any]:
     """Return the elements by argument of the constructor."""
-    own: dict[str, list[Element]] = {}
+    own: dict[str, Any] = {}
     number = 0
     for label in ELEMENTS:
         own[label] = []

@@ -46,7 +46,7 @@ def with_start(model: Model, pose0: Any, twist0: Any) -> Varied:
     if given is None:
         (at,) = model.joints  # a mechanism has poses
         assert at.joint is not None
-        poses = {name: at.joint.closed_pose for name in model.link_names}
+        poses = dict.fromkeys(model.link_names, at.joint.closed_pose)
     else:
         poses = arrays_of(model, "pose0", given)
     twists = arrays_of(model, "twist0", at_rest(model, pose0) if twist0 is None else twist0)
@@ -143,7 +143,8 @@ class Variation:
         assert isinstance(model, (Problem, Mechanism))
         given = model.from_links(poses)
         closed: Any = model.close(given, t0=self.t0)
-        projected: Any = model.project(model.from_links(twists), closed, t0=self.t0)
+        moving: Any = model.from_links(twists)
+        projected: Any = model.project(moving, closed, t0=self.t0)
         return model.by_link("pose0", closed), model.by_link("twist0", projected)
 
     def _moved(self, seeds: Mapping[str, Array], field: str, link: str) -> tuple[Array, Array]:
@@ -167,7 +168,7 @@ class Variation:
                 f"{p.name} has a number for each of {len(own)} trajectories; give the problem one "
                 "for all, which is varied"
             )
-        return own.reshape(-1)[np.argmax(units != 0.0, axis=1)]
+        return np.asarray(own.reshape(-1)[np.argmax(units != 0.0, axis=1)])
 
 
 def _units(p: Parameter) -> Array:
