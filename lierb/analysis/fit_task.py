@@ -12,6 +12,7 @@ from lierb.analysis.measurements import Measured, Measurements
 from lierb.analysis.unknowns import Unknowns
 from lierb.analysis.varied_runs import Runs
 from lierb.errors import ArgumentError, LierbError
+from lierb.results.columns import as_array
 from lierb.results.failures import Failures
 from lierb.results.result import Result
 from lierb.runs.variations import Variation, Varied
@@ -19,6 +20,8 @@ from lierb.support.arrays import Array
 from lierb.support.memory import require_memory
 
 PULL = 1e-6  # weight of the base, relative to the data's, where they do not tell all directions
+
+MOST_STEPS = 10  # attempted steps of a trial, by those of the guess; wild numbers would take ages
 
 
 class Task:
@@ -39,6 +42,18 @@ class Task:
         if failures := Failures.of(result.summary):
             raise ArgumentError(f"the run of the guess fails, {failures}; give a better guess")
         return result
+
+    @cached_property
+    def trials(self) -> Runs:
+        """Return runs that end at MOST_STEPS times the steps of the base, if steps are adaptive."""
+        summary, runs = self.at_base.summary, self.runs
+        if "steps" not in summary.column_names or runs.keywords.get("max_steps") is not None:
+            return runs
+        if runs.keywords.get("rtol") is None and runs.keywords.get("atol") is None:
+            return runs
+        steps = as_array(summary["steps"]) + as_array(summary["rejected"])
+        most = MOST_STEPS * (int(steps.max()) + 10)
+        return runs._replace(keywords=runs.keywords | {"max_steps": most})
 
     @cached_property
     def told(self) -> Identified:
@@ -63,7 +78,7 @@ class Task:
     def residuals(self, x: Array) -> Array:
         """Return the weighted residuals; infinite if no body has the numbers, or the run fails."""
         try:
-            residuals = self.weighted(self.runs.result(self.varied(x)))
+            residuals = self.weighted(self.trials.result(self.varied(x)))
         except LierbError:
             residuals = np.full(self.data.size, np.inf)
         residuals = np.where(np.isfinite(residuals), residuals, np.inf)

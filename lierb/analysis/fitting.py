@@ -28,6 +28,8 @@ from lierb.support.collected_warnings import warnings_collected
 from lierb.support.extras import require
 
 ROUNDS = 5  # beginnings from the last estimate, at most
+FIRST_STEP = 0.3  # largest first change of all unknowns, of their sizes; later ones may be larger
+MOVED = 1e-10  # relative change of an estimate that counts as none
 TOLERANCES = {"ftol": 1e-13, "xtol": 1e-11, "gtol": 1e-15}
 
 
@@ -170,9 +172,7 @@ def _of_trajectories(base: Varied, count: int, parameters: tuple[Parameter, ...]
 
 
 def _solved(variation: Variation, data: Measurements, runs: Runs, bounds: Any, most: int) -> Fit:
-    """Minimise, from the estimate again where the path of the start matters, and report."""
-    from scipy.optimize import least_squares
-
+    """Minimise; begin again at the estimate where the path to it matters; report."""
     evaluations, task = 0, Task(variation, data, runs)
     if data.size < task.unknowns.size:
         raise ArgumentError(
@@ -180,22 +180,34 @@ def _solved(variation: Variation, data: Measurements, runs: Runs, bounds: Any, m
             "expected no more unknowns than samples"
         )
     for _ in range(ROUNDS):
-        x = task.unknowns.base
-        low, high = task.unknowns.bounds(bounds)
-        _ = task.at_base
-        solution = least_squares(
-            task.residuals, x, task.jacobian, (low, high), "trf", x_scale="jac",
-            max_nfev=max(most - evaluations, 1), **TOLERANCES,
-        )  # fmt: skip
+        before = task.unknowns
+        x, solution = _minimised(task, bounds, max(most - evaluations, 1))
         evaluations += int(solution.nfev)
-        task = Task(
-            Variation(task.varied(solution.x), variation.parameters, variation.t0), data, runs
-        )
-        moved = np.abs(solution.x - x) > 1e-10 * (np.abs(x) + task.unknowns.sizes)
+        task = Task(Variation(task.varied(x), variation.parameters, variation.t0), data, runs)
+        has_moved = np.any(np.abs(x - before.base) > MOVED * (np.abs(x) + before.scales))
         begins_again = _has_a_path(variation) or len(task.told.null)
-        if not (begins_again and np.any(moved)) or evaluations >= most:
+        if not (begins_again and has_moved) or evaluations >= most:
             break
     return _report(task, solution, evaluations)
+
+
+def _minimised(task: Task, bounds: Any, most: int) -> tuple[Array, Any]:
+    """Return the coordinates of least residuals, and the result of SciPy.
+
+    The variables of SciPy are zero at the base. Its first steps are then of length 1 at most.
+    """
+    from scipy.optimize import least_squares
+
+    _ = task.at_base  # raises if the run of the guess fails
+    x, scales = task.unknowns.base, FIRST_STEP * task.unknowns.scales
+    low, high = ((end - x) / scales for end in task.unknowns.bounds(bounds))
+    solution = least_squares(
+        lambda u: task.residuals(x + scales * u),
+        np.zeros_like(x),
+        lambda u: task.jacobian(x + scales * u) * scales,
+        (low, high), "trf", max_nfev=most, **TOLERANCES,
+    )  # fmt: skip
+    return x + scales * solution.x, solution
 
 
 def _has_a_path(variation: Variation) -> bool:

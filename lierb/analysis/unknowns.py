@@ -208,6 +208,16 @@ class Unknowns:
             sizes[self.slices[p.name]] = largest if largest > 0.0 else 1.0
         return sizes
 
+    @cached_property
+    def scales(self) -> Array:
+        """Return the typical size of each coordinate; logarithms have 1."""
+        scales = self.sizes.copy()
+        for body in self.charted:
+            for name in ("mass", "inertia"):
+                if name in body.unknown:
+                    scales[self.slices[f"{body.prefix}{name}"]] = 1.0
+        return scales
+
     @property
     def labels(self) -> tuple[str, ...]:
         """Return a name for each number of the parameters, starts trajectory by trajectory."""
