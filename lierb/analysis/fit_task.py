@@ -27,9 +27,12 @@ MOST_STEPS = 10  # attempted steps of a trial, by those of the guess; wild numbe
 class Task:
     """Residuals and their derivatives by the coordinates of unknowns."""
 
-    def __init__(self, variation: Variation, data: Measurements, runs: Runs) -> None:
+    def __init__(
+        self, variation: Variation, data: Measurements, runs: Runs, least: Array | None = None
+    ) -> None:
+        """least : least size of each unknown; that of a number that becomes zero is no guide."""
         self.variation, self.data, self.runs = variation, data, runs
-        self.unknowns = Unknowns(variation, data.count)
+        self.unknowns = Unknowns(variation, data.count, least)
         self.names = [p.name for p in variation.parameters]
 
     def varied(self, x: Array) -> Varied:

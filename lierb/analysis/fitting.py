@@ -183,7 +183,8 @@ def _solved(variation: Variation, data: Measurements, runs: Runs, bounds: Any, m
         before = task.unknowns
         x, solution = _minimised(task, bounds, max(most - evaluations, 1))
         evaluations += int(solution.nfev)
-        task = Task(Variation(task.varied(x), variation.parameters, variation.t0), data, runs)
+        moved = Variation(task.varied(x), variation.parameters, variation.t0)
+        task = Task(moved, data, runs, before.sizes)
         has_moved = np.any(np.abs(x - before.base) > MOVED * (np.abs(x) + before.scales))
         begins_again = _has_a_path(variation) or len(task.told.null)
         if not (begins_again and has_moved) or evaluations >= most:

@@ -38,8 +38,9 @@ class Charted(NamedTuple):
 class Unknowns:
     """Unknowns of a variation for a number of trajectories."""
 
-    def __init__(self, variation: Variation, count: int) -> None:
-        self.variation, self.count = variation, count
+    def __init__(self, variation: Variation, count: int, least: Array | None = None) -> None:
+        """least : least size of each unknown, such as that of the guess."""
+        self.variation, self.count, self._least = variation, count, least
         self.numbers = [p for p in variation.parameters if not p.is_start]
         self.starts = [p for p in variation.parameters if p.is_start]
         ends = np.cumsum([0, *(p.size for p in self.numbers)])
@@ -206,7 +207,7 @@ class Unknowns:
         for p in self.numbers:
             largest = np.abs(self.variation.values[p.name]).max()
             sizes[self.slices[p.name]] = largest if largest > 0.0 else 1.0
-        return sizes
+        return sizes if self._least is None else np.maximum(sizes, self._least)
 
     @cached_property
     def scales(self) -> Array:
@@ -253,7 +254,7 @@ def guessed(variation: Variation, guesses: Mapping[str, Any]) -> Variation:
         if known[name].is_start:
             raise ArgumentError(
                 f"parameters[{name!r}]={brief(guess)}: the guess of a start is that of the run; "
-                f"give {name: None} and twist0= or pose0="
+                f"give {{{name!r}: None}} and twist0= or pose0="
             )
         value = as_floats(f"parameters[{name!r}]", guess)
         if value.shape not in ((), (known[name].size,)) or not np.isfinite(value).all():
