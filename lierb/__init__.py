@@ -6,7 +6,9 @@ from typing import TYPE_CHECKING, Any
 
 from lierb import errors, lie, sampling
 from lierb.analysis.comparing import convergence
+from lierb.analysis.fitting import fit
 from lierb.analysis.prediction import predict
+from lierb.analysis.propagation import propagate
 from lierb.api import integrate
 from lierb.installation import info, warmup
 from lierb.kernels.functions.user_number import where
@@ -42,9 +44,9 @@ __version__ = package_version()
 __all__ = [
     "TABLEAUS", "Body", "ButcherTableau", "Link", "Loop", "Mechanism", "Problem", "Result",
     "animate", "animation", "baumgarte", "bodies", "clip", "constraint", "controller",
-    "convergence", "errors", "event", "forces", "info", "integrate", "joints", "lie", "log",
-    "noise", "observable", "predict", "quaternion", "sampling", "states", "table", "turns",
-    "velocity_constraint", "warmup", "where", "wrench",
+    "convergence", "errors", "event", "fit", "forces", "info", "integrate", "joints", "lie", "log",
+    "noise", "observable", "predict", "propagate", "quaternion", "sampling", "states", "table",
+    "turns", "velocity_constraint", "warmup", "where", "wrench",
 ]  # fmt: skip
 
 # Public names of modules: `from lierb.joints import revolute`.

@@ -18,7 +18,7 @@ TOGETHER = {
     "results": ("result", "progress", "shown", "hostile", "memory"),
     "studies": ("cluster", "study", "dataset", "statistics"),
     "groups": ("lie", "lie_arrays", "log", "number_types"),
-    "derivatives": ("of_joints", "of_runs", "event_times", "through_functions", "names"),
+    "derivatives": ("of_joints", "of_runs", "event_times", "through_functions", "names", "fit"),
 }
 BY_JOINT = ("accuracy", "exactness", "multipliers", "prediction", "solvers")
 # What takes longest begins first, so that all processes end at the same time.

@@ -40,6 +40,8 @@ class Parameter(NamedTuple):
     size : number of its directions.   unit : unit, or those of all components.
     fields : fields of the inputs that depend on it.
     seeds : function of the start that returns their derivatives.
+    units : changes of the numbers of the first field along each direction, (directions, numbers);
+    None for a start.
     """
 
     name: str
@@ -47,6 +49,12 @@ class Parameter(NamedTuple):
     unit: str
     fields: tuple[str, ...]
     seeds: Callable[[Start], Seeds]
+    units: Array | None = None
+
+    @property
+    def is_start(self) -> bool:
+        """Return whether it is a pose or twist at the start."""
+        return self.units is None
 
 
 def chosen_parameters(model: Model, given: Any) -> tuple[Parameter, ...]:
@@ -153,7 +161,7 @@ def _index(model: Model, element: Element) -> int:
 def _plain(name: str, field: str, units: Array, unit: str) -> Parameter:
     """Return a parameter on which the start does not depend.   units : (directions, numbers)."""
     seeds = {field: units[:, None]}
-    return Parameter(name, len(units), unit, (field,), lambda start: seeds)
+    return Parameter(name, len(units), unit, (field,), lambda start: seeds, units)
 
 
 def _symmetric_units() -> Array:
@@ -171,7 +179,8 @@ def _geometric(model: Model, name: str, unit: str, seeds: Seeds) -> Parameter:
     def all_seeds(start: Start) -> Seeds:
         return seeds | _seeds_of(start, start.of_parameters(seeds))
 
-    return Parameter(name, len(units), unit, (field, *_start_fields(model, "pose0")), all_seeds)
+    fields = field, *_start_fields(model, "pose0")
+    return Parameter(name, len(units), unit, fields, all_seeds, units[:, 0])
 
 
 def _start_fields(model: Model, name: str) -> tuple[str, ...]:

@@ -10,7 +10,7 @@ Derivatives are parts of dual numbers over arrays, so that rows are differentiat
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -176,22 +176,8 @@ class Start:
 
     def _carried(self, frames: Frames) -> Moved:
         """Return the changes of the links that keep the relative motions in their joints."""
-        mechanism, shape = self.mechanism, (frames.count, self.count, 6)
-        poses: dict[int, Pose] = {}
-        twists: dict[int, Vec] = {}
-        for i in mechanism.order:
-            at = mechanism.joints[i]
-            p = frames.parameters(at)
-            outside, moving = p.ground, None
-            if at.parent != NOWHERE:
-                outside = se3.compose(poses[at.parent], p.ground)
-            relative = mechanism.relative(at, self.placed)
-            poses[i] = se3.compose(se3.compose(outside, relative), se3.inverse(p.body))
-            own = mechanism.relative_twist(at, self.placed, self.moving)
-            if at.parent != NOWHERE:
-                in_parent = se3.compose(p.ground, relative)
-                moving = se3.Ad(se3.inverse(in_parent), twists[at.parent])
-            twists[i] = se3.Ad(p.body, own if moving is None else add(own, moving))
+        shape = (frames.count, self.count, 6)
+        poses, twists = carried(self.mechanism, frames.parameters, self.placed, self.moving)
         links = range(len(self.poses))
         return Moved(
             [_parts(_moved_in_body(self.placed[i], poses[i]), shape) for i in links],
@@ -229,6 +215,35 @@ class Start:
                     off = -dot(r.jacobian(x, body), change)
                 missing.append(_parts((off,), shape))
         return np.concatenate(missing, axis=-1) if missing else None
+
+
+def carried(
+    mechanism: Mechanism,
+    parameters: Callable[[Connection], Parameters],
+    placed: list[Pose],
+    moving: list[Vec],
+) -> tuple[dict[int, Pose], dict[int, Vec]]:
+    """Return poses and twists by link with other joints, but the relative motions of the old ones.
+
+    mechanism : with the old joints.   parameters : function of a connection, of the new joints.
+    placed, moving : poses and twists of all links with the old joints.
+    """
+    poses: dict[int, Pose] = {}
+    twists: dict[int, Vec] = {}
+    for i in mechanism.order:
+        at = mechanism.joints[i]
+        p = parameters(at)
+        outside, moved = p.ground, None
+        if at.parent != NOWHERE:
+            outside = se3.compose(poses[at.parent], p.ground)
+        relative = mechanism.relative(at, placed)
+        poses[i] = se3.compose(se3.compose(outside, relative), se3.inverse(p.body))
+        own = mechanism.relative_twist(at, placed, moving)
+        if at.parent != NOWHERE:
+            in_parent = se3.compose(p.ground, relative)
+            moved = se3.Ad(se3.inverse(in_parent), twists[at.parent])
+        twists[i] = se3.Ad(p.body, own if moved is None else add(own, moved))
+    return poses, twists
 
 
 class Frames:

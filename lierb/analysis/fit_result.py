@@ -1,0 +1,129 @@
+"""Result of a fit: estimate, covariance, what the data cannot tell, and the run at the estimate."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from lierb.analysis.identifiability import Direction
+from lierb.model.mechanism.mechanism import Mechanism
+from lierb.model.problem import Problem
+from lierb.results.result import Result
+from lierb.support.arrays import Array
+from lierb.support.representations import FAILED, Lines, Represented, counted
+
+MOST_LISTED = 40  # numbers in the table of a description
+
+
+@dataclass(frozen=True, repr=False, eq=False)
+class Fit(Represented):
+    """Estimate of parameters by `lierb.fit`, with its uncertainty.
+
+    The covariance is that of linear theory for Gaussian noise: it holds near the estimate, and for
+    residuals that are noise. `lierb.propagate` shows how far it holds for a motion.
+
+    Attributes
+    ----------
+    estimate : dict of ndarray
+        Numbers of each parameter, by name; those of a start are (6,) or (3,), a pose (4, 4), with
+        an axis (n, …) for several trajectories.
+    standard_errors : dict of ndarray
+        Standard deviation of each number, likewise; of a pose (6,), of ε in C exp ε. Infinite for
+        numbers that the data do not tell.
+    covariance : ndarray, shape (p, p)
+        Covariance of all numbers, in the order of `labels`, of the directions that the data tell.
+    labels : tuple of str
+        Name of each number, such as "body.inertia[12]", or "omega0[3][0]" for trajectory 3.
+    unidentifiable : tuple of Direction
+        Combinations of numbers that the data cannot tell, each with `changes` and a `sentence`.
+    problem : Problem or Mechanism
+        The problem with the estimated numbers.
+    start : dict
+        Keywords pose0, twist0 and t0 of `lierb.integrate`, with the estimated start.
+    result : Result
+        The run at the estimate, at the times `t`, with its derivatives.
+    t : ndarray, shape (times,)
+        Times of the data, s.
+    residuals : dict of ndarray, shape (times, n, width)
+        Run minus data, by column, SI units; NaN for a missing sample.
+    chi2 : float
+        Sum of the squares of all residuals, each divided by its `sigma` if there is one.
+    freedoms : int
+        Number of residuals minus number of directions that the data tell.
+    converged : bool
+        True if the estimate is a minimum, to the tolerance.
+    status : str
+        Reason why the iteration has ended.
+    evaluations : int
+        Number of runs without derivatives.
+    """
+
+    estimate: dict[str, Array]
+    standard_errors: dict[str, Array]
+    covariance: Array
+    labels: tuple[str, ...]
+    unidentifiable: tuple[Direction, ...]
+    problem: Problem | Mechanism
+    start: dict[str, Any]
+    result: Result
+    t: Array
+    residuals: dict[str, Array]
+    chi2: float
+    freedoms: int
+    converged: bool
+    status: str
+    evaluations: int
+
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        """Return the names of the parameters."""
+        return tuple(self.estimate)
+
+    @property
+    def reduced_chi2(self) -> float:
+        """Return chi2 over `freedoms`, about 1 for noise of the given sigma; NaN without any."""
+        return self.chi2 / self.freedoms if self.freedoms > 0 else np.nan
+
+    @property
+    def correlation(self) -> Array:
+        """Return the correlations of all numbers, (p, p); NaN for numbers without variance."""
+        deviations = np.sqrt(np.diag(self.covariance))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.asarray(self.covariance / np.outer(deviations, deviations))
+
+    def _representation(self) -> tuple[str, Lines]:
+        count = sum(int(np.isfinite(each).sum()) for each in self.residuals.values())
+        names = counted(len(self.labels), "number")
+        title = f"lierb.Fit: {names} from {counted(count, 'residual')}"
+        rows = [*self._numbers()]
+        rows.append(
+            ("chi2", f"{self.chi2:.6g}, {self.reduced_chi2:.4g} per freedom of {self.freedoms}")
+        )
+        rows += [("not told", each.sentence) for each in self.unidentifiable]
+        rows.append(("ended" if self.converged else FAILED, self.status))
+        return title, rows
+
+    def _numbers(self) -> Iterator[tuple[str, str]]:
+        deviations = np.concatenate(
+            [np.ravel(self.standard_errors[name]) for name in self.estimate] or [np.zeros(0)]
+        )
+        names = [label for name in self.estimate for label in self._labels_of(name)]
+        values = [x for name in self.estimate for x in self._values_of(name)]
+        for label, value, deviation in list(zip(names, values, deviations, strict=True))[
+            :MOST_LISTED
+        ]:
+            yield label, f"{value} ± {deviation:.2g}"
+        if len(names) > MOST_LISTED:
+            yield "…", counted(len(names) - MOST_LISTED, "more number")
+
+    def _labels_of(self, name: str) -> list[str]:
+        return [label for label in self.labels if label.partition("[")[0] == name]
+
+    def _values_of(self, name: str) -> list[str]:
+        values = self.estimate[name]
+        if name.endswith("pose0"):  # a matrix, whose deviations are those of a change
+            return ["estimated"] * self.standard_errors[name].size
+        return [f"{x:.7g}" for x in values.ravel()]

@@ -1,0 +1,160 @@
+"""Residuals of a fit and their derivatives by its unknowns."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import cached_property
+
+import numpy as np
+
+from lierb.analysis.identifiability import Identified, identified
+from lierb.analysis.measurements import Measured, Measurements
+from lierb.analysis.unknowns import Unknowns
+from lierb.analysis.varied_runs import Runs
+from lierb.errors import ArgumentError, LierbError
+from lierb.results.columns import as_array
+from lierb.results.failures import Failures
+from lierb.results.result import Result
+from lierb.runs.variations import Variation, Varied
+from lierb.support.arrays import Array
+from lierb.support.memory import require_memory
+
+PULL = 1e-6  # weight of the base, relative to the data's, where they do not tell all directions
+
+MOST_STEPS = 10  # attempted steps of a trial, by those of the guess; wild numbers would take ages
+
+
+class Task:
+    """Residuals and their derivatives by the coordinates of unknowns."""
+
+    def __init__(
+        self, variation: Variation, data: Measurements, runs: Runs, least: Array | None = None
+    ) -> None:
+        """least : least size of each unknown; that of a number that becomes zero is no guide."""
+        self.variation, self.data, self.runs = variation, data, runs
+        self.unknowns = Unknowns(variation, data.count, least)
+        self.names = [p.name for p in variation.parameters]
+
+    def varied(self, x: Array) -> Varied:
+        return self.variation.at(self.unknowns.changes(x))
+
+    @cached_property
+    def at_base(self) -> Result:
+        """Return the run of the base, with derivatives. Raises ArgumentError if it fails."""
+        result = self.runs.result(self.variation.base, self.names)
+        if failures := Failures.of(result.summary):
+            raise ArgumentError(f"the run of the guess fails, {failures}; give a better guess")
+        return result
+
+    @cached_property
+    def trials(self) -> Runs:
+        """Return runs that end at MOST_STEPS times the steps of the base, if steps are adaptive."""
+        summary, runs = self.at_base.summary, self.runs
+        if "steps" not in summary.column_names or runs.keywords.get("max_steps") is not None:
+            return runs
+        if runs.keywords.get("rtol") is None and runs.keywords.get("atol") is None:
+            return runs
+        steps = as_array(summary["steps"]) + as_array(summary["rejected"])
+        most = MOST_STEPS * (int(steps.max()) + 10)
+        return runs._replace(keywords=runs.keywords | {"max_steps": most})
+
+    @cached_property
+    def told(self) -> Identified:
+        """Return the unknowns at the base as far as data tell them."""
+        unknowns = self.unknowns
+        jacobian = self.by_unknowns(self.at_base, unknowns.changes(unknowns.base))
+        return identified(jacobian, unknowns.sizes)
+
+    @cached_property
+    def pull(self) -> Array:
+        """Return weights of residuals that keep the coordinates near the base; empty without.
+
+        The data must not tell all directions: the others would be free to go anywhere. A task that
+        begins at the result removes the bias, of PULL² over the square of a singular value.
+        """
+        if not len(self.told.null):
+            return np.zeros(0)
+        unknowns = self.unknowns
+        norms = np.linalg.norm(self._by_coordinates(self.at_base, unknowns.base), axis=0)
+        return PULL * np.where(norms > 0.0, norms, norms.max() or 1.0)
+
+    def residuals(self, x: Array) -> Array:
+        """Return the weighted residuals; infinite if no body has the numbers, or the run fails."""
+        try:
+            residuals = self.weighted(self.trials.result(self.varied(x)))
+        except LierbError:
+            residuals = np.full(self.data.size, np.inf)
+        residuals = np.where(np.isfinite(residuals), residuals, np.inf)
+        if not len(self.pull):
+            return residuals
+        return np.concatenate([residuals, self.pull * (x - self.unknowns.base)])
+
+    def weighted(self, result: Result) -> Array:
+        parts = [
+            (off / column.sigma)[column.present]
+            for column, off in zip(self.data.columns, self.differences(result), strict=True)
+        ]
+        return np.concatenate(parts)
+
+    def differences(self, result: Result) -> list[Array]:
+        """Return run minus data of each column, (times, n, width); NaN without a sample."""
+        return [
+            column.quantity.difference(column.values, column.quantity.values(result))
+            for column in self.data.columns
+        ]
+
+    def jacobian(self, x: Array) -> Array:
+        """Return the derivatives of the weighted residuals by the coordinates."""
+        at_base = np.array_equal(x, self.unknowns.base)
+        result = self.at_base if at_base else self.runs.result(self.varied(x), self.names)
+        jacobian = self._by_coordinates(result, x)
+        return np.concatenate([jacobian, np.diag(self.pull)]) if len(self.pull) else jacobian
+
+    def _by_coordinates(self, result: Result, x: Array) -> Array:
+        shared, jacobian = self.unknowns.shared, self.by_unknowns(result, self.unknowns.changes(x))
+        jacobian[:, :shared] = jacobian[:, :shared] @ self.unknowns.slope(x)
+        return jacobian
+
+    def by_unknowns(self, result: Result, changes: Mapping[str, Array]) -> Array:
+        """Return the derivatives of the weighted residuals by the unknowns."""
+        size = self.unknowns.size
+        require_memory(3 * 8 * self.data.size * size, "the Jacobian", "fit fewer trajectories")
+        jacobian, first = np.zeros((self.data.size, size)), 0
+        for column, off in zip(self.data.columns, self.differences(result), strict=True):
+            count = int(column.present.sum())
+            self._fill(jacobian[first : first + count], column, off, result, changes)
+            first += count
+        return jacobian
+
+    def _fill(
+        self,
+        rows: Array,
+        column: Measured,
+        off: Array,
+        result: Result,
+        changes: Mapping[str, Array],
+    ) -> None:
+        """Fill in the rows of one column of the data."""
+        unknowns, starts = self.unknowns, []
+        slope = column.quantity.slope(off)
+        for p in self.variation.parameters:
+            own = column.quantity.derivative(result, p)
+            own = np.broadcast_to(own, (own.shape[0], self.data.count, *own.shape[2:]))
+            if slope is not None:
+                own = slope @ own
+            own = own / column.sigma[:, None]
+            if p.is_start:
+                turned = unknowns.turned(changes, p)
+                starts.append(own if turned is None else own @ turned)
+            else:
+                rows[:, unknowns.slices[p.name]] = own[column.present]
+        if not starts:
+            return
+        moved, numbers = (
+            np.concatenate(starts, -1),
+            np.cumsum(column.present).reshape(column.present.shape),
+        )
+        pairs = zip(unknowns.bases, unknowns.start_slices, strict=True)
+        for i, (basis, part) in enumerate(pairs):
+            chosen = column.present[:, i]
+            rows[numbers[:, i][chosen] - 1, part] = moved[:, i][chosen] @ basis

@@ -1,0 +1,282 @@
+"""`fit` estimates parameters of a problem from measured motions, by least squares."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from lierb.analysis.fit_result import Fit
+from lierb.analysis.fit_task import Task
+from lierb.analysis.identifiability import Identified, described
+from lierb.analysis.measurements import Measurements, measurements
+from lierb.analysis.quantities import records_of, require_derivatives
+from lierb.analysis.unknowns import Unknowns, guessed
+from lierb.analysis.varied_runs import Runs, runs_of
+from lierb.api import checked_model
+from lierb.errors import ArgumentError, brief
+from lierb.model.mechanism.mechanism import Mechanism
+from lierb.model.problem import Problem
+from lierb.runs.parameters import Parameter, chosen_parameters
+from lierb.runs.switches import warn_of_switches
+from lierb.runs.variations import Variation, Varied, with_start
+from lierb.support.arrays import Array, is_whole
+from lierb.support.collected_warnings import warnings_collected
+from lierb.support.extras import require
+
+ROUNDS = 5  # beginnings from the last estimate, at most
+FIRST_STEP = 0.3  # largest first change of all unknowns, of their sizes; later ones may be larger
+MOVED = 1e-10  # relative change of an estimate that counts as none
+TOLERANCES = {"ftol": 1e-13, "xtol": 1e-11, "gtol": 1e-15}
+
+
+def fit(
+    problem: Problem | Mechanism,
+    data: Any,
+    parameters: str | Iterable[str] | Mapping[str, ArrayLike | None],
+    *,
+    sigma: Mapping[str, ArrayLike] | None = None,
+    bounds: Mapping[str, tuple[ArrayLike, ArrayLike]] | None = None,
+    twist0: ArrayLike | Mapping[str, ArrayLike] | None = None,
+    pose0: Any = None,
+    t0: float = 0.0,
+    t_end: float | None = None,
+    max_evaluations: int = 200,
+    **options: Any,
+) -> Fit:
+    """Estimate parameters from measured motions: least squares with exact derivatives of the run.
+
+    Parameters
+    ----------
+    problem : Problem or Mechanism
+        The model; its numbers are the guess. Parameters to be estimated have one value for all
+        trajectories.
+    data : mapping, pyarrow.Table, pandas.DataFrame, or list of them
+        Columns by name: "t", (m,), ascending times in s, and measured columns, (m, …), or
+        (m, n, …) for n trajectories. A list has a table for each trajectory, whose times may
+        differ. A missing sample is NaN. Columns are "omega", "v", "twist", "position", "rotation"
+        (or "R"), "quaternion", "pose", "coordinates", "energy", names of observables and states,
+        "lambda" and "reaction"; for a mechanism "rod.omega", "rod.coordinates", "pin.reaction".
+        `Result.history` and its data frames are such tables.
+    parameters : str, iterable of str, or mapping
+        Parameters by the names of `with_respect_to` in `integrate`, or a dictionary with a guess
+        of each, or None for the problem's numbers. "omega0", "twist0" and "pose0" are estimated
+        for each trajectory, along the directions that the joints admit.
+    sigma : mapping, optional
+        Standard deviations of the noise by column: a number, or one for each component. Default:
+        all weights are 1, and the covariance is scaled by the variance of the residuals.
+    bounds : mapping, optional
+        Pairs (low, high) by parameter. An inertia needs none: it stays that of a rigid body.
+    twist0 : array_like, shape (6,) or (n, 6), or dict of them, optional
+        Twist at t0, or its guess, as in `integrate`.
+    pose0 : array_like or RigidTransform, shape (4, 4) or (n, 4, 4), or dict of them, optional
+        Pose at t0, or its guess, as in `integrate`.
+    t0 : float, optional
+        Start time, s.
+    t_end : float, optional
+        End time of the runs, s. Default: the last time of the data.
+    max_evaluations : int, optional
+        Largest number of runs without derivatives.
+    **options : object
+        Options of `integrate`: dt, rtol, atol, method, cspace, solver, stabilise, threads and the
+        like. Default: rtol=1e-9.
+
+    Returns
+    -------
+    Fit
+        Estimate, standard errors and covariance, directions that the data cannot tell, the fitted
+        problem and its run.
+
+    Raises
+    ------
+    LierbError
+        An argument is wrong, or the run of the guess fails. The subclasses classify the error.
+    MissingExtraError
+        SciPy is not installed; it is the extra `lierb[scipy]`.
+
+    Notes
+    -----
+    The minimum is a local one: the guess must follow the data, for a turning body to less than
+    half a turn. Standard errors hold for independent Gaussian noise with the given `sigma`.
+    Differences of rotations and poses are log(R_dataᵀ R) and log(C_data⁻¹ C), in body axes. If
+    "body.inertia" is a parameter, mass, centre of mass and inertia are varied in log-Cholesky
+    coordinates of the pseudo-inertia. A trial of numbers that no body has, or whose run fails, is
+    answered by a shorter step. The Jacobian is a dense matrix.
+
+    Examples
+    --------
+    >>> import lierb
+    >>> hinge = lierb.joints.revolute(axis=(0.0, 1.0, 0.0), body_point=(0.0, 0.0, 0.15))
+    >>> rod = lierb.bodies.rod(0.3, 0.01, mass=0.2)
+    >>> def pendulum(damping):
+    ...     friction = lierb.forces.torsional_spring(damping=damping)
+    ...     return lierb.Problem(rod, hinge, (0.0, 0.0, -9.81), friction)
+    >>> run = {"twist0": hinge.twist(omega=(0.0, 3.0, 0.0)), "dt": 1e-2}
+    >>> measured = lierb.integrate(pendulum(2e-3), **run, t_end=2.0, save_every=10, record="state")
+    >>> data = {"t": measured.t, "omega": measured.omega}
+    >>> fitted = lierb.fit(pendulum(1e-3), data, "torsional_spring.damping", **run)
+    >>> fitted.estimate["torsional_spring.damping"].round(9).tolist()
+    [0.002]
+    """
+    require("scipy")
+    model = checked_model(problem)
+    given = measurements(model, data, sigma)
+    guesses = dict(parameters) if isinstance(parameters, Mapping) else {}
+    names = [*guesses] if isinstance(parameters, Mapping) else parameters
+    chosen = chosen_parameters(model, names)
+    if not chosen:
+        raise ArgumentError("parameters is empty; expected names, such as body.mass")
+    if not (is_whole(max_evaluations) and max_evaluations > 0):
+        raise ArgumentError(
+            f"max_evaluations={brief(max_evaluations)}; expected a whole number, 1 or more"
+        )
+    for column in given.columns:
+        require_derivatives(column.quantity, chosen)
+    base = _of_trajectories(with_start(model, pose0, twist0), given.count, chosen)
+    runs = _runs(given, t0, t_end, options)
+    warn_of_switches(model, stacklevel=3)
+    by_name = {p.name: guess for p, guess in zip(chosen, guesses.values(), strict=False)}
+    variation = guessed(Variation(base, chosen, runs.options(model).timing.t0), by_name)
+    with warnings_collected(), warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        return _solved(variation, given, runs, bounds, int(max_evaluations))
+
+
+def _runs(given: Measurements, t0: Any, t_end: Any, options: dict[str, Any]) -> Runs:
+    return runs_of(given.t, t0, t_end, records_of([c.quantity for c in given.columns]), options)
+
+
+def _of_trajectories(base: Varied, count: int, parameters: tuple[Parameter, ...]) -> Varied:
+    """Return the start of each trajectory, if there are several. Raises ArgumentError."""
+    sizes = {f"pose0 {k}": (x, 2) for k, x in base.poses.items()}
+    sizes |= {f"twist0 {k}": (x, 1) for k, x in base.twists.items()}
+    own = base.model.batch_size(**sizes) or 1
+    if own not in (1, count):
+        raise ArgumentError(
+            f"data has {count} trajectories and the problem with its start {own}; expected as "
+            "many, or one for all"
+        )
+    if count == 1:
+        return base
+    twists = {k: np.broadcast_to(x, (count, 6)).copy() for k, x in base.twists.items()}
+    if not any(p.name.endswith("pose0") for p in parameters):
+        return base._replace(twists=twists)
+    poses = {k: np.broadcast_to(x, (count, 4, 4)).copy() for k, x in base.poses.items()}
+    return base._replace(poses=poses, twists=twists)
+
+
+# ---- least squares -----------------------------------------------------------------------------
+
+
+def _solved(variation: Variation, data: Measurements, runs: Runs, bounds: Any, most: int) -> Fit:
+    """Minimise; begin again at the estimate where the path to it matters; report."""
+    evaluations, task = 0, Task(variation, data, runs)
+    if data.size < task.unknowns.size:
+        raise ArgumentError(
+            f"parameters has {task.unknowns.size} unknown numbers and data {data.size} samples; "
+            "expected no more unknowns than samples"
+        )
+    for _ in range(ROUNDS):
+        before = task.unknowns
+        x, solution = _minimised(task, bounds, max(most - evaluations, 1))
+        evaluations += int(solution.nfev)
+        moved = Variation(task.varied(x), variation.parameters, variation.t0)
+        task = Task(moved, data, runs, before.sizes)
+        has_moved = np.any(np.abs(x - before.base) > MOVED * (np.abs(x) + before.scales))
+        begins_again = _has_a_path(variation) or len(task.told.null)
+        if not (begins_again and has_moved) or evaluations >= most:
+            break
+    return _report(task, solution, evaluations)
+
+
+def _minimised(task: Task, bounds: Any, most: int) -> tuple[Array, Any]:
+    """Return the coordinates of least residuals, and the result of SciPy.
+
+    The variables of SciPy are zero at the base. Its first steps are then of length 1 at most.
+    """
+    from scipy.optimize import least_squares
+
+    _ = task.at_base  # raises if the run of the guess fails
+    x, scales = task.unknowns.base, FIRST_STEP * task.unknowns.scales
+    low, high = ((end - x) / scales for end in task.unknowns.bounds(bounds))
+    solution = least_squares(
+        lambda u: task.residuals(x + scales * u),
+        np.zeros_like(x),
+        lambda u: task.jacobian(x + scales * u) * scales,
+        (low, high), "trf", max_nfev=most, **TOLERANCES,
+    )  # fmt: skip
+    return x + scales * solution.x, solution
+
+
+def _has_a_path(variation: Variation) -> bool:
+    """Return whether the start depends on the steps towards it, not on the last numbers alone."""
+    return variation.has_rows and any(
+        p.name.endswith("pose0") or (not p.is_start and len(p.fields) > 1)
+        for p in variation.parameters
+    )
+
+
+def _report(task: Task, solution: Any, evaluations: int) -> Fit:
+    unknowns, varied, result, told = task.unknowns, task.variation.base, task.at_base, task.told
+    differences, weighted = task.differences(result), task.weighted(result)
+    chi2, freedoms = float(weighted @ weighted), len(weighted) - told.rank
+    scale = 1.0 if task.data.has_sigma else chi2 / freedoms if freedoms else np.nan
+    covariance = scale * unknowns.spread @ told.covariance @ unknowns.spread.T
+    deviations = np.sqrt(np.diag(covariance))
+    deviations[np.any(unknowns.spread[:, ~told.is_known] != 0.0, axis=1)] = np.inf
+    residuals = {
+        column.quantity.name: np.where(column.present, off, np.nan)
+        for column, off in zip(task.data.columns, differences, strict=True)
+    }
+    model: Any = varied.model
+    return Fit(
+        estimate=_estimate(task), standard_errors=_by_parameter(task, deviations),
+        covariance=covariance, labels=unknowns.labels, unidentifiable=_untold(unknowns, told),
+        problem=model, start={**varied.start, "t0": task.variation.t0}, result=result,
+        t=task.data.t, residuals=residuals, chi2=chi2, freedoms=freedoms,
+        converged=bool(solution.status > 0), status=_status(solution), evaluations=evaluations,
+    )  # fmt: skip
+
+
+def _status(solution: Any) -> str:
+    reasons = {
+        0: "max_evaluations is reached; raise it, or begin with a better guess",
+        1: "the gradient is zero", 2: "the sum of squares decreases no more",
+        3: "the estimate changes no more",
+        4: "neither the sum of squares nor the estimate changes any more",
+    }  # fmt: skip
+    return reasons[int(solution.status)]
+
+
+def _untold(unknowns: Unknowns, told: Identified) -> tuple[Any, ...]:
+    labels, units, values = unknowns.labels, unknowns.units, unknowns.values
+    return tuple(described(unknowns.spread @ change, labels, values, units) for change in told.null)
+
+
+def _estimate(task: Task) -> dict[str, Array]:
+    """Return the numbers of each parameter at the base of a task."""
+    estimate, base = {}, task.variation.base
+    for p in task.variation.parameters:
+        if not p.is_start:
+            estimate[p.name] = task.variation.values[p.name]
+            continue
+        link, _, what = p.name.rpartition(".")
+        array = base.poses[link] if what == "pose0" else base.twists[link]
+        estimate[p.name] = array[..., :3] if what == "omega0" else array
+    return estimate
+
+
+def _by_parameter(task: Task, numbers: Array) -> dict[str, Array]:
+    """Return numbers in the order of the labels by parameter, with an axis for trajectories."""
+    unknowns = task.unknowns
+    by_name = {name: numbers[part] for name, part in unknowns.slices.items()}
+    starts = numbers[unknowns.shared :].reshape(unknowns.count, -1)
+    first = 0
+    for p in unknowns.starts:
+        own = starts[:, first : first + p.size]
+        by_name[p.name] = own if unknowns.count > 1 else own[0]
+        first += p.size
+    return {p.name: by_name[p.name] for p in task.variation.parameters}

@@ -1,0 +1,255 @@
+"""Measured data of a fit: times, columns and weights, read from dictionaries, tables and frames."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from math import prod
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+
+from lierb.analysis.quantities import QUATERNION, Quantity, quantity_named
+from lierb.errors import ArgumentError, brief, unknown_name
+from lierb.model.base import Model
+from lierb.model.functions.column_names import COMPONENTS
+from lierb.results.columns import as_array
+from lierb.support.arrays import Array, as_floats
+
+TIMES, TRAJECTORY, STEP = "t", "trajectory", "step"
+EXPECTED = 'a dictionary or a table with "t" and measured columns, or a list of them'
+
+
+@dataclass(frozen=True)
+class Measured:
+    """Column of data.
+
+    values : (times, n, *shape of the quantity), NaN where a sample is missing.
+    sigma : standard deviations, (width,).
+    """
+
+    quantity: Quantity
+    values: Array
+    sigma: Array
+
+    @cached_property
+    def present(self) -> NDArray[np.bool_]:
+        """Return which samples are present, (times, n, width); components may lack alone."""
+        width, lead = self.quantity.width, self.values.shape[:2]
+        known: NDArray[np.bool_] = np.isfinite(self.values).reshape(*lead, -1)
+        if width == prod(self.quantity.shape):
+            return known
+        whole: NDArray[np.bool_] = np.all(known, axis=-1, keepdims=True)
+        return np.repeat(whole, width, axis=-1)
+
+
+@dataclass(frozen=True)
+class Measurements:
+    """All data of a fit.
+
+    t : times, s, ascending.   count : number of trajectories.
+    has_sigma : True if the noise has a given standard deviation.
+    """
+
+    t: Array
+    columns: tuple[Measured, ...]
+    count: int
+    has_sigma: bool
+
+    @property
+    def size(self) -> int:
+        """Return the number of residuals."""
+        return sum(int(column.present.sum()) for column in self.columns)
+
+
+def measurements(model: Model, data: Any, sigma: Any) -> Measurements:
+    """Read and check the data of a fit.   sigma : standard deviations by column, or None."""
+    tables = [_columns(f"data[{i}]", each) for i, each in enumerate(_several(data))]
+    label = "data" if len(tables) == 1 else "data[0]"
+    names = [name for name in tables[0] if name != TIMES]
+    for i, table in enumerate(tables):
+        if set(table) != {TIMES, *names}:
+            raise ArgumentError(
+                f"data[{i}] has the columns {', '.join(table)}; expected those of data[0], "
+                f"{', '.join(tables[0])}; a missing sample is NaN"
+            )
+    if not names:
+        raise ArgumentError(f"{label} has no measured column; expected {EXPECTED}")
+    times = [_times(f"data[{i}]" if i else label, table[TIMES]) for i, table in enumerate(tables)]
+    t = np.unique(np.concatenate(times))
+    columns = []
+    for name in names:
+        quantity = quantity_named(model, "data: column", name)
+        parts = [
+            _placed(t, own, _values(name, table[name], len(own), quantity))
+            for own, table in zip(times, tables, strict=True)
+        ]
+        values = np.concatenate(parts, axis=1)
+        columns.append(Measured(quantity, values, _sigma(name, sigma, quantity)))
+    _require_sigmas(sigma, names)
+    counts = {column.values.shape[1] for column in columns}
+    if len(counts) > 1:
+        listed = ", ".join(f"{c.quantity.name} has {c.values.shape[1]}" for c in columns)
+        raise ArgumentError(f"data: columns differ in their number of trajectories: {listed}")
+    return Measurements(t, tuple(columns), counts.pop(), sigma is not None)
+
+
+def _several(data: Any) -> Sequence[Any]:
+    if isinstance(data, (list, tuple)):
+        if not data:
+            raise ArgumentError(f"data is empty; expected {EXPECTED}")
+        return data
+    return [data]
+
+
+def _columns(label: str, given: Any) -> dict[str, Any]:
+    """Return the columns of a table as arrays; components such as omega_x are put together."""
+    if isinstance(given, pa.Table):
+        columns = {name: as_array(given[name]) for name in given.column_names}
+    elif isinstance(given, Mapping):
+        columns = dict(given)
+    elif hasattr(given, "columns") and hasattr(given, "__getitem__"):
+        columns = {str(name): np.asarray(given[name]) for name in given.columns}
+    else:
+        raise ArgumentError(f"{label} is {brief(given)}; expected {EXPECTED}")
+    if TIMES not in columns:
+        raise unknown_name(f"{label} has no times; the name", TIMES, columns)
+    return _of_history(_joined(columns))
+
+
+def _joined(columns: dict[str, Any]) -> dict[str, Any]:
+    """Put components that have columns of their own together, as `Result.to_pandas` makes them."""
+    joined: dict[str, Any] = {}
+    for name, values in columns.items():
+        whole, part = _component_of(name)
+        others = [f"{whole}_{x}" for x in COMPONENTS.get(whole.rpartition(".")[2], ())]
+        if not part or any(other not in columns for other in others):
+            joined[name] = values
+        elif whole not in joined:
+            joined[whole] = np.stack([np.asarray(columns[other]) for other in others], -1)
+    return joined
+
+
+def _component_of(name: str) -> tuple[str, str]:
+    last = name.rpartition(".")[2]
+    for whole, parts in COMPONENTS.items():
+        for part in parts:
+            if last == f"{whole}_{part}":
+                return name.removesuffix(f"_{part}"), part
+    return name, ""
+
+
+def _of_history(columns: dict[str, Any]) -> dict[str, Any]:
+    """Return the columns of a history, time-major, with an axis of trajectories."""
+    if TRAJECTORY not in columns:
+        return columns
+    numbers = np.asarray(columns.pop(TRAJECTORY))
+    columns.pop(STEP, None)
+    count = len(np.unique(numbers))
+    if len(numbers) % count or np.any(numbers.reshape(-1, count) != np.unique(numbers)):
+        raise ArgumentError(
+            "data: the rows are not those of a history, all trajectories at each time; give a "
+            "list with a table for each trajectory"
+        )
+    shaped = {k: np.asarray(x).reshape(-1, count, *np.shape(x)[1:]) for k, x in columns.items()}
+    return shaped | {TIMES: shaped[TIMES][:, 0]}
+
+
+def _times(label: str, given: Any) -> Array:
+    times = as_floats(f"{label}: t", given)
+    if times.ndim != 1 or not times.size or not np.isfinite(times).all():
+        raise ArgumentError(f"{label}: t has shape {times.shape}; expected (m,), finite times in s")
+    if np.any(np.diff(times) <= 0.0):
+        raise ArgumentError(
+            f"{label}: t does not ascend; sort the samples, and give each time once"
+        )
+    return times
+
+
+def _values(name: str, given: Any, times: int, quantity: Quantity) -> Array:
+    """Return the samples of a column, (times, n, *shape)."""
+    values = as_floats(f"data: {name}", given)
+    is_quaternion = name.rpartition(".")[2] == QUATERNION
+    shape = (4,) if is_quaternion else quantity.shape
+    if shape == (3, 3) and values.shape[-1:] == (9,):
+        values = values.reshape(*values.shape[:-1], 3, 3)
+    if shape in ((), (1,)) and values.ndim in (1, 2):
+        values = values.reshape(*values.shape, *shape)
+    fits = values.shape[values.ndim - len(shape) :] == shape
+    lead = values.shape[: values.ndim - len(shape)]
+    if not fits or len(lead) not in (1, 2) or lead[0] != times:
+        sizes = ", ".join(map(str, shape))
+        raise ArgumentError(
+            f"data: {name} has shape {values.shape}; expected ({times}, {sizes}), or "
+            f"({times}, n, {sizes}) for n trajectories"
+        )
+    values = values if len(lead) == 2 else values[:, None]
+    if is_quaternion:
+        values = _rotations(values)
+    return _checked_group(name, values) if shape in ((3, 3), (4, 4)) else values
+
+
+def _rotations(quaternions: Array) -> Array:
+    """Return the rotation matrices of quaternions (w, x, y, z) of any length."""
+    with np.errstate(invalid="ignore", divide="ignore"):
+        w, x, y, z = np.moveaxis(
+            quaternions / np.linalg.norm(quaternions, axis=-1, keepdims=True), -1, 0
+        )
+    rows = (
+        (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
+        (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
+        (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
+    )
+    return np.stack([np.stack(row, -1) for row in rows], -2)
+
+
+def _checked_group(name: str, values: Array) -> Array:
+    turned = values[..., :3, :3]
+    known = np.isfinite(values).all((-2, -1))
+    off = np.abs(turned[known].swapaxes(-1, -2) @ turned[known] - np.eye(3)).max(initial=0.0)
+    if off > 1e-6 or np.any(np.linalg.det(turned[known]) < 0.0):
+        raise ArgumentError(
+            f"data: {name} has matrices that are no rotations, RᵀR is off by {off:.1g}"
+        )
+    return values
+
+
+def _placed(t: Array, own: Array, values: Array) -> Array:
+    """Return the samples at all times, NaN where there are none."""
+    placed = np.full((len(t), *values.shape[1:]), np.nan)
+    placed[np.searchsorted(t, own)] = values
+    return placed
+
+
+def _sigma(name: str, given: Any, quantity: Quantity) -> Array:
+    if given is None:
+        return np.ones(quantity.width)
+    if not isinstance(given, Mapping):
+        raise ArgumentError(
+            f"sigma={brief(given)}; expected a dictionary of standard deviations by column"
+        )
+    if name not in given:
+        raise ArgumentError(
+            f"sigma lacks {name}; expected the standard deviation of the noise of every column, "
+            "or sigma=None for weights of 1"
+        )
+    sigma = as_floats(f"sigma[{name!r}]", given[name])
+    if (
+        sigma.shape not in ((), (quantity.width,))
+        or not np.all(sigma > 0.0)
+        or np.isinf(sigma).any()
+    ):
+        raise ArgumentError(
+            f"sigma[{name!r}]={brief(given[name])}; expected a positive number, or "
+            f"{quantity.width} of them, {quantity.unit}"
+        )
+    return np.broadcast_to(sigma, quantity.width)
+
+
+def _require_sigmas(sigma: Any, names: Iterable[str]) -> None:
+    for name in sigma or ():
+        if name not in names:
+            raise unknown_name("sigma", name, names)

@@ -1,0 +1,303 @@
+"""Unknowns of a fit, and the changes of model and start that they stand for.
+
+Unknowns are the numbers of parameters of the model, then changes of each trajectory's start along
+the directions that joints and loops admit. Least squares varies coordinates of them: those of
+`lierb.analysis.pseudo_inertia` for a body whose inertia is unknown, otherwise the numbers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import cached_property
+from itertools import pairwise
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from lierb.analysis.pseudo_inertia import SIZES, body_of, coordinates_of, derivatives_of
+from lierb.errors import ArgumentError, LierbError, brief, unknown_name
+from lierb.lie import se3
+from lierb.runs.parameters import SYMMETRIC, Parameter, chosen_parameters
+from lierb.runs.variations import Variation
+from lierb.support.arrays import Array, as_floats
+
+RANK = 1e-9  # relative size of directions that joints do not admit
+
+
+class Charted(NamedTuple):
+    """Body whose inertia is unknown.
+
+    unknown : names of SIZES that are.   given : coordinates of all, at the base.
+    """
+
+    prefix: str
+    unknown: tuple[str, ...]
+    given: dict[str, Array]
+
+
+class Unknowns:
+    """Unknowns of a variation for a number of trajectories."""
+
+    def __init__(self, variation: Variation, count: int, least: Array | None = None) -> None:
+        """least : least size of each unknown, such as that of the guess."""
+        self.variation, self.count, self._least = variation, count, least
+        self.numbers = [p for p in variation.parameters if not p.is_start]
+        self.starts = [p for p in variation.parameters if p.is_start]
+        ends = np.cumsum([0, *(p.size for p in self.numbers)])
+        self.slices = {
+            p.name: slice(int(a), int(b))
+            for p, (a, b) in zip(self.numbers, pairwise(ends), strict=True)
+        }
+        self.shared = int(ends[-1])  # number of unknowns of all trajectories together
+
+    # ---- starts --------------------------------------------------------------------------------
+
+    @cached_property
+    def bases(self) -> list[Array]:
+        """Return the admitted directions of each trajectory's start, (numbers, admitted)."""
+        if not self.starts:
+            return [np.zeros((0, 0))] * self.count
+        moved = [
+            np.concatenate(
+                [np.concatenate(both, -1) for both in self.variation.moved[p.name].values()], -1
+            )
+            for p in self.starts
+        ]  # (numbers, n or 1, 12 links) each
+        rows = [np.broadcast_to(x, (len(x), self.count, x.shape[-1])) for x in moved]
+        return [_admitted(each) for each in np.concatenate(rows).swapaxes(0, 1)]
+
+    @cached_property
+    def start_slices(self) -> list[slice]:
+        """Return the place of each trajectory's start among the unknowns."""
+        ends = self.shared + np.cumsum([0, *(basis.shape[1] for basis in self.bases)])
+        return [slice(int(a), int(b)) for a, b in pairwise(ends)]
+
+    @property
+    def size(self) -> int:
+        """Return the number of unknowns."""
+        return self.shared + sum(int(basis.shape[1]) for basis in self.bases)
+
+    @cached_property
+    def spread(self) -> Array:
+        """Return the matrix from unknowns to all numbers, whose starts may depend on each other."""
+        widths = [len(basis) for basis in self.bases]
+        matrix = np.zeros((self.shared + sum(widths), self.size))
+        matrix[range(self.shared), range(self.shared)] = 1.0
+        first = self.shared
+        for basis, part in zip(self.bases, self.start_slices, strict=True):
+            matrix[first : first + len(basis), part] = basis
+            first += len(basis)
+        return matrix
+
+    # ---- coordinates ---------------------------------------------------------------------------
+
+    @cached_property
+    def charted(self) -> list[Charted]:
+        """Return the bodies whose inertia is unknown."""
+        names = [
+            p.name.removesuffix("inertia") for p in self.numbers if p.name.endswith("body.inertia")
+        ]
+        return [self._charted(prefix) for prefix in names]
+
+    def _charted(self, prefix: str) -> Charted:
+        model, base, t0 = self.variation.model, self.variation.base, self.variation.t0
+        all_names = [f"{prefix}{name}" for name in SIZES]
+        numbers = Variation(base, chosen_parameters(model, all_names), t0).values
+        mass, com, inertia = (numbers[name] for name in all_names)
+        unknown = tuple(name for name in SIZES if f"{prefix}{name}" in self.slices)
+        return Charted(prefix, unknown, coordinates_of(float(mass[0]), com, inertia))
+
+    @cached_property
+    def base(self) -> Array:
+        """Return the coordinates at the base."""
+        x = np.zeros(self.size)
+        for p in self.numbers:
+            x[self.slices[p.name]] = self.variation.values[p.name]
+        for body in self.charted:
+            for name in body.unknown:
+                x[self.slices[f"{body.prefix}{name}"]] = body.given[name]
+        return x
+
+    def _coordinates(self, body: Charted, x: Array) -> dict[str, Array]:
+        own = {name: x[self.slices[f"{body.prefix}{name}"]] for name in body.unknown}
+        return body.given | own
+
+    def numbers_at(self, x: Array) -> dict[str, Array]:
+        """Return the numbers of the model's parameters at coordinates."""
+        numbers = {name: x[part] for name, part in self.slices.items()}
+        for body in self.charted:
+            values = body_of(self._coordinates(body, x))
+            numbers |= {f"{body.prefix}{name}": values[name] for name in body.unknown}
+        return numbers
+
+    def changes(self, x: Array) -> dict[str, Array]:
+        """Return the changes of all parameters at coordinates, as `Variation.at` takes them."""
+        values = self.variation.values
+        changes = {name: each - values[name] for name, each in self.numbers_at(x).items()}
+        moved = np.array([b @ x[s] for b, s in zip(self.bases, self.start_slices, strict=True)])
+        moved = moved if self.count > 1 else moved[0]
+        first = 0
+        for p in self.starts:
+            changes[p.name] = moved[..., first : first + p.size]
+            first += p.size
+        return changes
+
+    def slope(self, x: Array) -> Array:
+        """Return the derivatives of the shared unknowns by their coordinates."""
+        slope = np.eye(self.shared)
+        for body in self.charted:
+            derivatives = derivatives_of(self._coordinates(body, x))
+            for row in body.unknown:
+                for column in body.unknown:
+                    parts = (self.slices[f"{body.prefix}{name}"] for name in (row, column))
+                    block = derivatives.get((row, column), 0.0)
+                    slope[tuple(parts)] = block
+        return slope
+
+    def turned(self, changes: Mapping[str, Array], p: Parameter) -> Array | None:
+        """Return the matrices from changes of a moved pose to those of its base; None if equal.
+
+        C₀ exp(ε + δ) = C₀ exp(ε) exp(dexp₋ε δ) for a free body. Joints make this approximate, and
+        a fit begins again from the moved pose.
+        """
+        if not p.name.endswith("pose0") or self.variation.has_rows:
+            return None
+        return np.asarray(se3.dexp(-np.asarray(changes[p.name])))
+
+    # ---- bounds and sizes ----------------------------------------------------------------------
+
+    def bounds(self, given: Any) -> tuple[Array, Array]:
+        """Return the bounds of the coordinates. Raises ArgumentError."""
+        low, high = np.full(self.size, -np.inf), np.full(self.size, np.inf)
+        if given is None:
+            return low, high
+        if not isinstance(given, Mapping):
+            raise ArgumentError(f"bounds={brief(given)}; expected {{parameter: (low, high)}}")
+        masses = [f"{body.prefix}mass" for body in self.charted]
+        for name, pair in given.items():
+            part = self._bounded(name)
+            for end, value in zip((low, high), _pair(name, pair, part), strict=True):
+                if name in masses:
+                    value = 0.5 * np.log(np.maximum(value, np.finfo(float).tiny))
+                end[part] = value
+            at = self.base[part]
+            if np.any(low[part] >= high[part]) or np.any((at < low[part]) | (at > high[part])):
+                raise ArgumentError(
+                    f"bounds[{name!r}]={brief(pair)}; expected low < high, with the guess between"
+                )
+        return low, high
+
+    def _bounded(self, name: str) -> slice:
+        for body in self.charted:
+            if name == f"{body.prefix}inertia":
+                raise ArgumentError(
+                    f"bounds[{name!r}]: an inertia has no bounds, it stays that of a rigid body; "
+                    "leave them out"
+                )
+        if name in (p.name for p in self.starts):
+            raise ArgumentError(f"bounds[{name!r}]: a start has no bounds; leave them out")
+        if name not in self.slices:
+            raise unknown_name("bounds", name, self.slices)
+        return self.slices[name]
+
+    @cached_property
+    def sizes(self) -> Array:
+        """Return the typical size of each unknown: that of its parameter, 1 for a start."""
+        sizes = np.ones(self.size)
+        for p in self.numbers:
+            largest = np.abs(self.variation.values[p.name]).max()
+            sizes[self.slices[p.name]] = largest if largest > 0.0 else 1.0
+        return sizes if self._least is None else np.maximum(sizes, self._least)
+
+    @cached_property
+    def scales(self) -> Array:
+        """Return the typical size of each coordinate; logarithms have 1."""
+        scales = self.sizes.copy()
+        for body in self.charted:
+            for name in ("mass", "inertia"):
+                if name in body.unknown:
+                    scales[self.slices[f"{body.prefix}{name}"]] = 1.0
+        return scales
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """Return a name for each number of the parameters, starts trajectory by trajectory."""
+        labels = [label for p in self.numbers for label in _labels(p)]
+        for i in range(self.count):
+            for p in self.starts:
+                name = f"{p.name}[{i}]" if self.count > 1 else p.name
+                labels += [f"{name}[{k}]" for k in range(p.size)]
+        return tuple(labels)
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """Return the unit of each number of the parameters."""
+        starts = [unit for p in self.starts for unit in _units(p)]
+        return tuple([unit for p in self.numbers for unit in _units(p)] + self.count * starts)
+
+    @property
+    def values(self) -> Array:
+        """Return the numbers of the parameters at the base; zero for starts, which are changes."""
+        values = np.zeros(len(self.labels))
+        for p in self.numbers:
+            values[self.slices[p.name]] = self.variation.values[p.name]
+        return values
+
+
+def guessed(variation: Variation, guesses: Mapping[str, Any]) -> Variation:
+    """Return a variation whose base has guesses of parameters. Raises ArgumentError."""
+    known = {p.name: p for p in variation.parameters}
+    changes = {p.name: np.zeros(p.size) for p in variation.parameters}
+    for name, guess in guesses.items():
+        if guess is None:
+            continue
+        if known[name].is_start:
+            raise ArgumentError(
+                f"parameters[{name!r}]={brief(guess)}: the guess of a start is that of the run; "
+                f"give {{{name!r}: None}} and twist0= or pose0="
+            )
+        value = as_floats(f"parameters[{name!r}]", guess)
+        if value.shape not in ((), (known[name].size,)) or not np.isfinite(value).all():
+            raise ArgumentError(
+                f"parameters[{name!r}]={brief(guess)}; expected {known[name].size} finite numbers"
+            )
+        changes[name] = value - variation.values[name]
+    try:
+        return Variation(variation.at(changes), variation.parameters, variation.t0)
+    except LierbError as error:
+        raise type(error)(f"the guess of parameters: {error}") from None
+
+
+def _admitted(rows: Array) -> Array:
+    """Return an orthonormal basis of the combinations of numbers that move the start.
+
+    rows : change of the start by each number. All numbers are their own basis if they are free.
+    """
+    basis, values, _ = np.linalg.svd(rows, full_matrices=False)
+    rank = int(np.sum(values > RANK * values.max(initial=0.0)))
+    return np.eye(len(rows)) if rank == len(rows) else basis[:, :rank]
+
+
+def _pair(name: str, pair: Any, part: slice) -> list[Array]:
+    expected = f"bounds[{name!r}]={brief(pair)}; expected a pair (low, high)"
+    try:
+        low, high = pair
+    except (TypeError, ValueError):
+        raise ArgumentError(expected) from None
+    ends = [as_floats(f"bounds[{name!r}]", end) for end in (low, high)]
+    if any(end.shape not in ((), (part.stop - part.start,)) or np.isnan(end).any() for end in ends):
+        raise ArgumentError(expected)
+    return ends
+
+
+def _labels(p: Parameter) -> list[str]:
+    if p.size == 1:
+        return [p.name]
+    if p.name.endswith("body.inertia"):
+        return [f"{p.name}[{i + 1}{j + 1}]" for i, j in SYMMETRIC]
+    return [f"{p.name}[{k}]" for k in range(p.size)]
+
+
+def _units(p: Parameter) -> list[str]:
+    units = p.unit.split(", ")
+    return units * p.size if len(units) == 1 else units

@@ -1,0 +1,53 @@
+"""Runs of a varied model, with the options of `lierb.integrate` that fits and propagation take."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any, NamedTuple
+
+from lierb.api import integrate_model
+from lierb.errors import unknown_name
+from lierb.results.result import Result
+from lierb.runs.options import Options
+from lierb.runs.variations import Varied
+from lierb.support.arrays import Array
+
+OPTIONS = (
+    "dt", "rtol", "atol", "dt_min", "dt_max", "max_steps", "discontinuities", "method", "cspace",
+    "update", "solver", "stabilise", "check", "seed", "trajectories", "threads",
+)  # fmt: skip
+RTOL = 1e-9  # of runs without a step or tolerance
+
+
+class Runs(NamedTuple):
+    """Runs of a fit.   keywords : of `Options.of`.   threads : of `lierb.integrate`."""
+
+    keywords: dict[str, Any]
+    threads: int | None
+
+    def options(self, model: Any) -> Options:
+        return Options.of(model, **self.keywords)
+
+    def result(self, varied: Varied, parameters: Iterable[str] = ()) -> Result:
+        """Return the run of a model from its start."""
+        start = varied.start
+        return integrate_model(
+            varied.model, self.options(varied.model), start["pose0"], start["twist0"],
+            with_respect_to=parameters, threads=self.threads, progress=False,
+        )  # fmt: skip
+
+
+def runs_of(times: Array, t0: Any, t_end: Any, record: list[str], options: dict[str, Any]) -> Runs:
+    """Return the runs that save these times. Raises ArgumentError for an unknown option."""
+    for name in options:
+        if name not in OPTIONS:
+            raise unknown_name("option", name, OPTIONS)
+    keywords = dict(options)
+    threads = keywords.pop("threads", None)
+    if all(keywords.get(name) is None for name in ("dt", "rtol", "atol")):
+        keywords["rtol"] = RTOL
+    keywords |= {
+        "t0": t0, "t_end": float(times[-1]) if t_end is None else t_end, "save_at": times,
+        "record": record,
+    }  # fmt: skip
+    return Runs(keywords, threads)

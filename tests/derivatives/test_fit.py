@@ -1,0 +1,384 @@
+"""Fits recover the truth, their covariance covers it, and they name what data cannot tell."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scipy.integrate import solve_ivp
+from scipy.optimize import least_squares
+
+import lierb
+from lierb.analysis.identifiability import described, identified
+from lierb.analysis.pseudo_inertia import SIZES, body_of, coordinates_of, derivatives_of
+from lierb.errors import InertiaError, LierbError
+from lierb.runs.parameters import SYMMETRIC
+
+TIMES = np.linspace(0.0, 5.0, 51)
+INERTIA = np.array([[0.9, 0.05, -0.02], [0.05, 1.2, 0.03], [-0.02, 0.03, 1.5]])
+SPIN = np.array([0.3, 1.0, 0.2, 0.0, 0.0, 0.0])
+RUN = {"dt": 1e-2}
+DAMPING, STIFFNESS = "torsional_spring.damping", "torsional_spring.stiffness"
+
+
+def entries(inertia) -> np.ndarray:
+    return np.array([inertia[i, j] for i, j in SYMMETRIC])
+
+
+def pendulum(damping=0.02, stiffness=0.0, observables=()):
+    hinge = lierb.joints.revolute(axis=(0.0, 1.0, 0.0), body_point=(0.0, 0.0, 0.5))
+    spring = lierb.forces.torsional_spring(stiffness=stiffness, damping=damping)
+    body = lierb.bodies.box((0.1, 0.1, 1.0), mass=1.0)
+    return lierb.Problem(body, hinge, (0.0, 0.0, -9.81), spring, observables=observables)
+
+
+def swing(problem, **more):
+    start = {"pose0": problem.joint.pose([1.0])}
+    return start, lierb.integrate(
+        problem, **start, **RUN, **more, t_end=5.0, save_at=TIMES, record="state"
+    )
+
+
+@cache
+def swung() -> lierb.Result:
+    return swing(pendulum())[1]
+
+
+def angles(result) -> np.ndarray:
+    rotation = result.rotation
+    return np.arctan2(rotation[..., 0, 2], rotation[..., 0, 0])
+
+
+def data_of(result, *names, noise=0.0, seed=0) -> dict[str, np.ndarray]:
+    rng = np.random.default_rng(seed)
+    own = {name: np.asarray(getattr(result, name)) for name in names}
+    noisy = {k: x + noise * rng.standard_normal(x.shape) for k, x in own.items()}
+    return {"t": result.t, **noisy}
+
+
+def fitted(problem, data, parameters, **more) -> lierb.analysis.fit_result.Fit:
+    return lierb.fit(
+        problem, data, parameters, **({"pose0": problem.joint.pose([1.0])} | RUN | more)
+    )
+
+
+# ---- truth -------------------------------------------------------------------------------------
+
+
+@pytest.mark.slow
+def test_fit_recovers_the_parameters_of_exact_data():
+    fit = fitted(pendulum(0.3, 0.5), data_of(swung(), "omega"), [
+        DAMPING, STIFFNESS])  # fmt: skip
+    assert fit.converged
+    assert_allclose(fit.estimate[DAMPING], [0.02], rtol=1e-9)
+    assert_allclose(fit.estimate[STIFFNESS], [0.0], atol=1e-9)
+    assert fit.unidentifiable == ()
+    assert_allclose(fit.problem.forces[0].parameters["damping"], 0.02, rtol=1e-9)
+    # the run and the start are those of the estimate
+    again = lierb.integrate(fit.problem, **fit.start, **RUN, t_end=5.0)
+    assert_allclose(again.omega[0], swung().omega[-1, 0], atol=1e-9)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("column", ["rotation", "quaternion", "coordinates", "pose"])
+def test_every_column_recovers_the_start_and_the_length(column):
+    truth = swung()
+    values = {
+        "coordinates": angles(truth), "pose": lierb_poses(truth),
+    }  # fmt: skip
+    data = {"t": truth.t, column: values.get(column, getattr(truth, column, None))}
+    guess = pendulum()
+    hinge = lierb.joints.revolute(axis=(0.0, 1.0, 0.0), body_point=(0.0, 0.0, 0.45))
+    guess = lierb.Problem(guess.body, hinge, guess.gravity, guess.forces)
+    names = ["pose0", "joint.body_point"]
+    fit = lierb.fit(guess, data, names, pose0=hinge.pose([1.2]), **RUN)
+    # gravity and inertia of a point on the axis alone: x moves the axis sideways
+    point = fit.estimate["joint.body_point"]
+    assert_allclose(point[[0, 2]], [0.0, 0.5], atol=1e-8)
+    assert_allclose(hinge_angle(fit), 1.0, atol=1e-8)
+
+
+def hinge_angle(fit) -> float:
+    rotation = fit.start["pose0"][:3, :3]
+    return float(np.arctan2(rotation[0, 2], rotation[0, 0]))
+
+
+def lierb_poses(result) -> np.ndarray:
+    poses = np.zeros((*result.rotation.shape[:2], 4, 4))
+    poses[..., :3, :3], poses[..., :3, 3], poses[..., 3, 3] = result.rotation, result.position, 1.0
+    return poses
+
+
+@pytest.mark.slow
+def test_damping_agrees_with_a_fit_of_an_equation_of_its_own():
+    data = data_of(swung(), "omega", noise=1e-2)
+    fit = fitted(pendulum(0.1), data, DAMPING, dt=2e-3)
+    body = pendulum().body
+    moment = float(body.inertia[1, 1]) + 0.25
+
+    def residuals(x):
+        def rates(t, y):
+            return y[1], (-9.81 * 0.5 * np.sin(y[0]) - x[0] * y[1]) / moment
+
+        run = solve_ivp(rates, (0.0, 5.0), (1.0, 0.0), t_eval=TIMES, rtol=1e-10, atol=1e-12)
+        return run.y[1] - data["omega"][:, 0, 1]
+
+    own = least_squares(residuals, [0.1], xtol=1e-12, ftol=1e-12)
+    assert_allclose(fit.estimate[DAMPING], own.x, rtol=1e-6)
+    # the two other components have noise as well, which the variance takes in
+    deviation = np.sqrt(fit.reduced_chi2 / (own.jac.T @ own.jac)[0, 0])
+    assert_allclose(fit.standard_errors[DAMPING], deviation, rtol=1e-4)
+
+
+@pytest.mark.slow
+def test_missing_samples_tables_and_lists_give_the_same_fit():
+    truth = swung()
+    data = data_of(truth, "omega", noise=1e-2)
+    data["omega"][7] = np.nan
+    whole = fitted(pendulum(0.1), data, DAMPING)
+    kept = np.delete(np.arange(51), 7)
+    cut = {"t": data["t"][kept], "omega": data["omega"][kept]}
+    frame = truth.to_pandas("history")[["t", "omega_x", "omega_y", "omega_z"]]
+    exact = fitted(pendulum(0.1), frame, DAMPING)
+    history = truth.history.select(["trajectory", "t", "omega"])
+    for other in (cut, [cut]):
+        fit = fitted(pendulum(0.1), other, DAMPING)
+        assert_allclose(
+            fit.estimate[DAMPING],
+            whole.estimate[DAMPING],
+            rtol=1e-9,
+        )
+    for other in (history, data_of(truth, "omega")):
+        fit = fitted(pendulum(0.1), other, DAMPING)
+        assert_allclose(
+            fit.estimate[DAMPING],
+            exact.estimate[DAMPING],
+            rtol=1e-9,
+        )
+    assert np.isnan(whole.residuals["omega"][7]).all()
+
+
+@pytest.mark.slow
+def test_several_trajectories_share_parameters_and_have_starts_of_their_own():
+    problem = pendulum()
+    starts = problem.joint.pose(np.array([[0.5], [1.0], [1.5]]))
+    rates = problem.joint.twist(omega=np.array([[0, 0.2, 0], [0, -0.3, 0], [0, 0.5, 0.0]]))
+    truth = lierb.integrate(
+        problem, pose0=starts, twist0=rates, **RUN, t_end=5.0, save_at=TIMES, record="state"
+    )
+    data = data_of(truth, "omega")
+    fit = fitted(
+        pendulum(0.05), data, [DAMPING, "omega0"], pose0=starts, twist0=None,
+        sigma={"omega": 1e-3},
+    )  # fmt: skip
+    assert_allclose(fit.estimate[DAMPING], [0.02], rtol=1e-9)
+    assert_allclose(fit.estimate["omega0"], truth.omega[0], atol=1e-9)
+    assert fit.estimate["omega0"].shape == fit.standard_errors["omega0"].shape == (3, 3)
+    assert "omega0[2][1]" in fit.labels
+    # the joint admits one of three directions of each start
+    assert np.linalg.matrix_rank(fit.covariance, tol=1e-16) == 4
+    assert fit.unidentifiable == ()
+
+
+@pytest.mark.slow
+def test_a_mechanism_with_names_of_links_is_fitted():
+    from mechanisms.shared import double_pendulum
+
+    mechanism = double_pendulum()
+    pose0 = mechanism.pose({"upper": 1.0, "lower": 0.3})
+    truth = lierb.integrate(mechanism, pose0=pose0, **RUN, t_end=2.0, save_every=10, record="state")
+    rates = truth["lower"].omega
+    data = {"t": truth.t, "lower.omega": rates, "upper.coordinates": truth_angles(mechanism, truth)}
+    mass = mechanism.link("lower").body.mass
+    fit = lierb.fit(mechanism, data, {"lower.body.mass": 1.3 * mass}, pose0=pose0, **RUN)
+    assert_allclose(fit.estimate["lower.body.mass"], [mass], rtol=1e-9)
+
+
+def truth_angles(mechanism, result) -> np.ndarray:
+    poses = {name: lierb_poses(result[name])[:, 0] for name in ("upper", "lower")}
+    return mechanism.coordinates(poses)["upper"]
+
+
+# ---- what data cannot tell ---------------------------------------------------------------------
+
+
+def tumbling(inertia, mass=10.0):
+    return lierb.Problem(lierb.Body(mass, inertia), lierb.joints.free())
+
+
+@pytest.mark.slow
+def test_a_gyro_of_a_tumbling_body_tells_ratios_of_the_inertia_but_no_scale():
+    truth = lierb.integrate(
+        tumbling(INERTIA), twist0=SPIN, **RUN, t_end=20.0, save_every=25, record="state"
+    )
+    fit = lierb.fit(
+        tumbling(np.diag([1.0, 1.2, 1.4])), data_of(truth, "omega"), ["body.inertia", "omega0"],
+        twist0=1.01 * SPIN, **RUN,
+    )  # fmt: skip
+    (direction,) = fit.unidentifiable
+    assert "common scale of body.inertia[11], body.inertia[22]" in direction.sentence
+    estimate = fit.estimate["body.inertia"]
+    assert_allclose(estimate / estimate[0], entries(INERTIA) / INERTIA[0, 0], atol=1e-9)
+    assert_allclose(fit.estimate["omega0"], SPIN[:3], atol=1e-9)
+    assert np.isinf(fit.standard_errors["body.inertia"]).all()
+    assert np.isfinite(fit.standard_errors["omega0"]).all()
+    assert "not told" in repr(fit)
+    assert fit.problem.body.inertia[0, 1] == estimate[3]
+
+
+@pytest.mark.slow
+def test_two_springs_in_parallel_are_told_in_sum_only():
+    hinge = lierb.joints.revolute(axis=(0.0, 1.0, 0.0), body_point=(0.0, 0.0, 0.5))
+    body = lierb.bodies.box((0.1, 0.1, 1.0), mass=1.0)
+
+    def problem(*stiffness):
+        springs = [lierb.forces.torsional_spring(stiffness=k) for k in stiffness]
+        return lierb.Problem(body, hinge, (0.0, 0.0, -9.81), springs)
+
+    data = data_of(swing(problem(1.0, 3.0))[1], "omega")
+    names = [f"torsional_spring_{i}.stiffness" for i in (1, 2)]
+    fit = fitted(problem(1.5, 2.0), data, [*names, "gravity"])
+    sentences = [each.sentence for each in fit.unidentifiable]
+    assert any(all(name in sentence for name in names) for sentence in sentences)
+    assert "gravity[1] has no effect on the data" in sentences
+    assert_allclose(sum(fit.estimate[name][0] for name in names), 4.0, rtol=1e-8)
+    assert_allclose(fit.estimate["gravity"][2], -9.81, rtol=1e-8)
+    pair = next(each for each in fit.unidentifiable if names[0] in each.changes)
+    assert_allclose(pair.changes[names[0]], -pair.changes[names[1]], rtol=1e-6)
+
+
+def test_hidden_directions_of_a_matrix_are_found_and_named():
+    rng = np.random.default_rng(1)
+    jacobian = rng.standard_normal((20, 5)) * (1.0, 1e6, 1.0, 1e-3, 1.0)
+    jacobian[:, 2] = 2.0 * jacobian[:, 0]
+    jacobian[:, 4] = 0.0
+    told = identified(jacobian, np.ones(5))
+    assert told.rank == 3
+    assert told.is_known.tolist() == [False, True, False, True, False]
+    assert np.abs(jacobian @ told.null.T).max() < 1e-12
+    names, values, units = "abcde", np.array([1.0, 1.0, 3.0, 1.0, 1.0]), ["m"] * 5
+    sentences = {described(each, names, values, units).sentence for each in told.null}
+    assert "e has no effect on the data" in sentences
+    assert any("if a by" in text and "c by" in text for text in sentences)
+    kept = np.ix_([1, 3], [1, 3])
+    whole = np.linalg.inv((x := jacobian[:, [0, 1, 3]]).T @ x)[1:, 1:]
+    assert_allclose(told.covariance[kept], whole, rtol=1e-9)
+
+
+# ---- statistics --------------------------------------------------------------------------------
+
+
+@pytest.mark.long
+def test_covariance_covers_the_scatter_of_estimates():
+    """500 fits of noisy data: scatter over covariance within 10 %, chi-square of its mean."""
+    truth = {DAMPING: 0.02, STIFFNESS: 0.4}
+    names = [*truth, "omega0"]
+    problem = pendulum(0.02, 0.4)
+    exact = swing(problem)[1]
+    sigma, offsets, chi2 = 0.05, [], []
+    for seed in range(500):
+        data = data_of(exact, "omega", noise=sigma, seed=seed)
+        fit = fitted(problem, data, names, sigma={"omega": sigma})
+        estimate = np.array([*(fit.estimate[n][0] for n in truth), fit.estimate["omega0"][1]])
+        offsets.append(estimate - [*truth.values(), 0.0])
+        chosen = np.ix_(indices := [0, 1, 3], indices)
+        chi2.append(offsets[-1] @ np.linalg.solve(fit.covariance[chosen], offsets[-1]))
+    deviations = np.sqrt(np.diag(fit.covariance))[indices]
+    ratios = np.std(offsets, axis=0) / deviations
+    assert np.all((ratios > 0.9) & (ratios < 1.1)), ratios
+    assert abs(np.mean(chi2) - 3.0) < 5.0 * np.sqrt(6.0 / 500)  # five standard errors
+
+
+# ---- physical bodies ---------------------------------------------------------------------------
+
+
+def test_log_cholesky_coordinates_invert_and_have_exact_derivatives():
+    rng = np.random.default_rng(2)
+    for _ in range(5):
+        factor = rng.standard_normal((4, 4))
+        pseudo = factor @ factor.T
+        mass, com = pseudo[3, 3], pseudo[:3, 3] / pseudo[3, 3]
+        inertia = entries(np.trace(pseudo[:3, :3]) * np.eye(3) - pseudo[:3, :3])
+        at = coordinates_of(mass, com, inertia)
+        for name, value in (("mass", [mass]), ("com", com), ("inertia", inertia)):
+            assert_allclose(
+                body_of(at)[name], value, rtol=1e-12, atol=1e-14 * np.abs(inertia).max()
+            )
+        exact = derivatives_of(at)
+        for name, size in SIZES.items():
+            for i in range(size):
+                ends = []
+                for h in (1e-6, -1e-6):
+                    moved = {k: x.copy() for k, x in at.items()}
+                    moved[name][i] += h
+                    ends.append(body_of(moved))
+                for row in SIZES:
+                    slope = (ends[0][row] - ends[1][row]) / 2e-6
+                    own = exact.get((row, name))
+                    own = np.zeros(SIZES[row]) if own is None else own[:, i]
+                    assert_allclose(
+                        own, slope, rtol=1e-6, atol=1e-7 * (1.0 + np.abs(inertia).max())
+                    )
+
+
+def test_a_body_at_the_limit_cannot_be_varied():
+    with pytest.raises(InertiaError, match="flat body or a rod"):
+        coordinates_of(1.0, np.zeros(3), np.array([1.0, 1.0, 2.0, 0.0, 0.0, 0.0]))
+
+
+# ---- errors ------------------------------------------------------------------------------------
+
+GOOD = {"t": [0.5, 1.0], "omega": np.zeros((2, 3))}
+
+
+@pytest.mark.parametrize(
+    ("data", "message"),
+    [
+        ({"omega": np.zeros((2, 3))}, "has no times"),
+        ({"t": [0.5, 1.0]}, "no measured column"),
+        ({"t": [0.5, 1.0], "omga": np.zeros((2, 3))}, "Did you mean 'omega'"),
+        ({"t": [1.0, 0.5], "omega": np.zeros((2, 3))}, "does not ascend"),
+        ({"t": [0.5, 1.0], "omega": np.zeros((3, 3))}, r"omega has shape \(3, 3\)"),
+        ({"t": [0.5, 1.0], "rotation": np.ones((2, 3, 3))}, "no rotations"),
+        ({"t": [0.5], "omega": np.full((1, 3), np.nan)}, "1 unknown numbers and data 0 samples"),
+        ({"t": [-1.0, 1.0], "omega": np.zeros((2, 3))}, "not within t0"),
+        (3.0, "a dictionary or a table"),
+        ([], "data is empty"),
+        ([GOOD, {"t": [1.0]}], "expected those of data"),
+    ],
+)  # fmt: skip
+def test_data_that_are_none_are_refused(data, message):
+    with pytest.raises(LierbError, match=message):
+        fitted(pendulum(), data, DAMPING)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"parameters": ()}, "parameters is empty"),
+        ({"parameters": "torsional_spring.dampng"}, "Did you mean"),
+        ({"sigma": {"omega": 0.0}}, "expected a positive number"),
+        ({"sigma": {}}, "sigma lacks omega"),
+        ({"sigma": {"omega": 1.0, "v": 1.0}}, "sigma='v' is unknown"),
+        ({"bounds": {DAMPING: (1.0, 2.0)}}, "with the guess between"),
+        ({"bounds": {"body.mass": (1.0, 2.0)}}, "bounds='body.mass' is unknown"),
+        ({"parameters": {"omega0": [1.0, 0.0, 0.0]}}, "give {'omega0': None}"),
+        ({"parameters": {"body.mass": -1.0}}, "the guess of parameters: mass is -1.0"),
+        ({"max_evaluations": 0}, "expected a whole number"),
+        ({"save_every": 3}, "option='save_every' is unknown"),
+        ({"twist0": np.zeros((4, 6))}, "data has 1 trajectories"),
+    ],
+)
+def test_arguments_that_do_not_fit_are_refused(options, message):
+    given = {"parameters": DAMPING} | options
+    with pytest.raises(ValueError, match=message):
+        fitted(pendulum(), GOOD, **given)
+
+
+@pytest.mark.slow
+def test_bounds_are_kept():
+    bounds = {DAMPING: (0.05, 1.0)}
+    fit = fitted(pendulum(0.1), data_of(swung(), "omega"), DAMPING, bounds=bounds)
+    assert 0.05 <= fit.estimate[DAMPING][0] < 0.0501

@@ -1,0 +1,123 @@
+"""Covariances over time, against closed forms, and where linear theory ends."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+import lierb
+from lierb.errors import LierbError
+
+TIMES = [0.5, 1.0, 2.0]
+STIFFNESS, MASS = 8.0, 2.0
+FREQUENCY = np.sqrt(STIFFNESS / MASS)
+
+
+def oscillator():
+    slide = lierb.joints.prismatic(axis=(1.0, 0.0, 0.0))
+    spring = lierb.forces.slide_spring(stiffness=STIFFNESS)
+    return lierb.Problem(lierb.bodies.sphere(0.1, mass=MASS), slide, forces=spring)
+
+
+def pendulum():
+    hinge = lierb.joints.revolute(axis=(0.0, 1.0, 0.0), body_point=(0.0, 0.0, 0.5))
+    return lierb.Problem(lierb.bodies.box((0.1, 0.1, 1.0), mass=1.0), hinge, (0.0, 0.0, -9.81))
+
+
+@pytest.mark.slow
+def test_an_oscillators_covariance_is_the_closed_form():
+    """x = x₀ cos ωt + v₀ sin ωt/ω, linear in the start; the correlation of x₀ and v₀ as well."""
+    sigma = np.zeros((12, 12))
+    start = np.array([[4e-4, 1e-4], [1e-4, 9e-4]])  # of x₀ in m and v₀ in m/s
+    sigma[np.ix_([3, 9], [3, 9])] = start
+    spread = lierb.propagate(
+        oscillator(), sigma, ["pose0", "twist0"], TIMES, ["coordinates", "v"], dt=1e-3
+    )
+    for i, t in enumerate(TIMES):
+        c, s = np.cos(FREQUENCY * t), np.sin(FREQUENCY * t)
+        flow = np.array([[c, s / FREQUENCY], [-FREQUENCY * s, c]])
+        right = flow @ start @ flow.T
+        # RK4 at 1 ms: 2 · 2⁵ 1e-12 / 120
+        assert_allclose(spread.linear["coordinates"][i], right[:1, :1], rtol=1e-10)
+        assert_allclose(spread.linear["v"][i][0, 0], right[1, 1], rtol=1e-10)
+    assert spread.holds["coordinates"].all()
+    assert spread.size == 400
+    # a sample of 400 has deviations to 1/√800
+    assert np.abs(spread.ratio["coordinates"] - 1.0).max() < 4.0 / np.sqrt(800)
+    assert np.isnan(spread.ratio["v"][:, 1:]).all()  # across the slide nothing moves
+
+
+@pytest.mark.slow
+def test_a_parameter_spreads_by_its_exact_derivative():
+    """∂x/∂k of x₀ cos ωt is −x₀ sin ωt · t ω/(2k)."""
+    problem = oscillator()
+    place = problem.joint.pose([0.3])
+    spread = lierb.propagate(
+        problem, {"slide_spring.stiffness": 0.02}, "slide_spring.stiffness", TIMES, "position",
+        pose0=place, dt=1e-3, monte_carlo=50,
+    )  # fmt: skip
+    t = np.array(TIMES)
+    right = 0.3 * np.abs(np.sin(FREQUENCY * t)) * t * FREQUENCY / (2.0 * STIFFNESS) * 0.02
+    assert_allclose(spread.standard_deviations("position")[:, 0], right, rtol=1e-9)
+
+
+@pytest.mark.slow
+def test_linear_theory_ends_where_a_pendulum_loses_its_phase():
+    """Near the top the period depends strongly on the amplitude; half a turn is no Gaussian."""
+    problem = pendulum()
+    times = np.linspace(0.5, 10.0, 20)
+    spread = lierb.propagate(
+        problem, {"omega0": (0.0, 0.15, 0.0)}, "omega0", times, "rotation",
+        pose0=problem.joint.pose([3.0]), dt=5e-3,
+    )  # fmt: skip
+    end = spread.holds_until("rotation")
+    assert 0.0 < end < 5.0
+    # the sample's rotations are within half a turn of their mean, linear theory knows no bound
+    assert spread.standard_deviations("rotation", "sample").max() < np.pi
+    assert "linear theory holds until" in repr(spread)
+    narrow = lierb.propagate(
+        problem, {"omega0": (0.0, 1e-6, 0.0)}, "omega0", times, "rotation",
+        pose0=problem.joint.pose([3.0]), dt=5e-3,
+    )  # fmt: skip
+    assert narrow.holds["rotation"].all()
+
+
+@pytest.mark.slow
+def test_the_covariance_of_a_fit_goes_on():
+    problem = oscillator()
+    place = problem.joint.pose([0.3])
+    truth = lierb.integrate(
+        problem, pose0=place, dt=1e-3, t_end=2.0, save_every=100, record="state"
+    )
+    data = {"t": truth.t, "position": truth.position}
+    names = ["slide_spring.stiffness"]
+    fit = lierb.fit(problem, data, names, pose0=place, dt=1e-3, sigma={"position": 1e-3})
+    spread = lierb.propagate(
+        fit.problem, fit.covariance, names, [5.0], "position", **fit.start, dt=1e-3
+    )
+    # of 21 samples x₀ ∂(cos ωt)/∂k
+    t = truth.t
+    slopes = 0.3 * np.sin(FREQUENCY * t) * t * FREQUENCY / (2.0 * STIFFNESS)
+    deviation = 1e-3 / np.sqrt(slopes @ slopes)
+    assert_allclose(fit.standard_errors["slide_spring.stiffness"], deviation, rtol=1e-6)
+    later = 0.3 * abs(np.sin(FREQUENCY * 5.0)) * 5.0 * FREQUENCY / (2.0 * STIFFNESS)
+    assert_allclose(spread.standard_deviations("position")[0, 0], later * deviation, rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"covariance": np.eye(5)}, "expected \\(6, 6\\)"),
+        ({"covariance": -np.eye(6)}, "eigenvalues of 0 or more"),
+        ({"covariance": {"pose0": 1.0}}, "expected an entry for each of"),
+        ({"covariance": {"twist0": -1.0}}, "expected deviations, 0 or more"),
+        ({"parameters": ()}, "parameters is empty"),
+        ({"times": [1.0, 0.5]}, "ascending"),
+        ({"of": "twst"}, "Did you mean 'twist'"),
+        ({"of": []}, "of is empty"),
+        ({"monte_carlo": 0}, "linear theory is not shown without a sample"),
+    ],
+)
+def test_arguments_that_do_not_fit_are_refused(given, message):
+    arguments = {"covariance": {"twist0": 0.1}, "parameters": "twist0", "times": [1.0]} | given
+    with pytest.raises(LierbError, match=message):
+        lierb.propagate(oscillator(), **arguments)
