@@ -154,8 +154,10 @@ class Mechanism(TreeKinematics):
             The file. Meshes are not read: masses are those in <inertial>.
         gravity : array_like, shape (3,) or (n, 3), optional
             Acceleration of gravity, m/s², which URDF does not have.
-        base, frames : str, optional
-            As in `from_mjcf`.
+        base : {"free", "fixed"}, optional
+            With "free" the root floats. Default, and "fixed": it is the ground.
+        frames : {"file", "centre"}, optional
+            With "centre", body frames are moved to the centres of mass, as in `from_mjcf`.
         merge_fixed : bool, optional
             Merge welded bodies into one link, as in `from_mjcf`.
         limit_stiffness : float, optional
