@@ -6,9 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from lierb import errors, lie, sampling
 from lierb.analysis.comparing import convergence
-from lierb.analysis.fitting import fit
 from lierb.analysis.prediction import predict
-from lierb.analysis.propagation import propagate
 from lierb.api import integrate
 from lierb.installation import info, warmup
 from lierb.kernels.functions.user_number import where
@@ -35,6 +33,8 @@ from lierb.runs.provenance import package_version
 from lierb.support.extras import is_installed, require
 
 if TYPE_CHECKING:
+    from lierb.analysis.fitting import fit
+    from lierb.analysis.propagation import propagate
     from lierb.studies.description.from_python import study_of as study_of
     from lierb.studies.description.study import Study as Study
     from lierb.studies.execution.running import run as run
@@ -53,6 +53,7 @@ __all__ = [
 for _module in (animation, bodies, forces, joints, noise):
     sys.modules[f"lierb.{_module.__name__.rpartition('.')[2]}"] = _module
 
+_LATER = {"fit": "lierb.analysis.fitting", "propagate": "lierb.analysis.propagation"}
 _STUDIES = {
     "Study": "lierb.studies.description.study",
     "integrate_batches": "lierb.studies.execution.streaming",
@@ -68,8 +69,10 @@ def __dir__() -> list[str]:
 
 
 def __getattr__(name: str) -> Any:
-    """Import names of studies, which need `lierb[study]`, at their first use."""
-    if name not in _STUDIES:
+    """Import names of fits, and of studies, which need `lierb[study]`, at their first use."""
+    module = _LATER.get(name) or _STUDIES.get(name)
+    if module is None:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    require("study")
-    return getattr(import_module(_STUDIES[name]), name)
+    if name in _STUDIES:
+        require("study")
+    return getattr(import_module(module), name)

@@ -20,7 +20,6 @@ from lierb.support.arrays import Array
 from lierb.support.memory import require_memory
 
 PULL = 1e-6  # weight of the base, relative to the data's, where they do not tell all directions
-
 MOST_STEPS = 10  # attempted steps of a trial, by those of the guess; wild numbers would take ages
 
 

@@ -151,9 +151,7 @@ def _runs(given: Measurements, t0: Any, t_end: Any, options: dict[str, Any]) -> 
 
 def _of_trajectories(base: Varied, count: int, parameters: tuple[Parameter, ...]) -> Varied:
     """Return the start of each trajectory, if there are several. Raises ArgumentError."""
-    sizes = {f"pose0 {k}": (x, 2) for k, x in base.poses.items()}
-    sizes |= {f"twist0 {k}": (x, 1) for k, x in base.twists.items()}
-    own = base.model.batch_size(**sizes) or 1
+    own = base.batch_size
     if own not in (1, count):
         raise ArgumentError(
             f"data has {count} trajectories and the problem with its start {own}; expected as "
@@ -274,9 +272,6 @@ def _by_parameter(task: Task, numbers: Array) -> dict[str, Array]:
     unknowns = task.unknowns
     by_name = {name: numbers[part] for name, part in unknowns.slices.items()}
     starts = numbers[unknowns.shared :].reshape(unknowns.count, -1)
-    first = 0
-    for p in unknowns.starts:
-        own = starts[:, first : first + p.size]
-        by_name[p.name] = own if unknowns.count > 1 else own[0]
-        first += p.size
+    for name, part in unknowns.start_parts.items():
+        by_name[name] = starts[:, part] if unknowns.count > 1 else starts[0, part]
     return {p.name: by_name[p.name] for p in task.variation.parameters}

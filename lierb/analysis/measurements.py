@@ -14,10 +14,12 @@ from numpy.typing import NDArray
 
 from lierb.analysis.quantities import QUATERNION, Quantity, quantity_named
 from lierb.errors import ArgumentError, brief, unknown_name
+from lierb.kernels.groups import quaternion
+from lierb.kernels.numbers.vec import dot
 from lierb.model.base import Model
 from lierb.model.functions.column_names import COMPONENTS
 from lierb.results.columns import as_array
-from lierb.support.arrays import Array, as_floats
+from lierb.support.arrays import Array, as_floats, assembled, components
 
 TIMES, TRAJECTORY, STEP = "t", "trajectory", "step"
 EXPECTED = 'a dictionary or a table with "t" and measured columns, or a list of them'
@@ -194,16 +196,9 @@ def _values(name: str, given: Any, times: int, quantity: Quantity) -> Array:
 
 def _rotations(quaternions: Array) -> Array:
     """Return the rotation matrices of quaternions (w, x, y, z) of any length."""
+    p = components(quaternions)
     with np.errstate(invalid="ignore", divide="ignore"):
-        w, x, y, z = np.moveaxis(
-            quaternions / np.linalg.norm(quaternions, axis=-1, keepdims=True), -1, 0
-        )
-    rows = (
-        (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
-        (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
-        (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
-    )
-    return np.stack([np.stack(row, -1) for row in rows], -2)
+        return assembled(quaternion.matrix(p, 2.0 / dot(p, p)), 3, 3)
 
 
 def _checked_group(name: str, values: Array) -> Array:

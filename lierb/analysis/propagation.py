@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lierb.analysis.propagation_result import Propagation
+from lierb.analysis.propagation_result import Propagation, deviations_of
 from lierb.analysis.quantities import Quantity, quantity_named, records_of, require_derivatives
 from lierb.analysis.varied_runs import Runs, runs_of
 from lierb.api import checked_model
@@ -18,7 +18,7 @@ from lierb.model.mechanism.mechanism import Mechanism
 from lierb.model.problem import Problem
 from lierb.results.failures import Failures, has_failed
 from lierb.results.result import Result
-from lierb.runs.parameters import Parameter, chosen_parameters
+from lierb.runs.parameters import Parameter, chosen_parameters, slices_of
 from lierb.runs.switches import warn_of_switches
 from lierb.runs.variations import Variation, with_start
 from lierb.support.arrays import Array, as_floats, is_whole
@@ -126,9 +126,7 @@ def propagate(
         raise ArgumentError(f"times={brief(times)}; expected finite times in s, ascending")
     sigma = _covariance(covariance, chosen)
     base = with_start(model, pose0, twist0)
-    sizes = {f"pose0 {k}": (x, 2) for k, x in base.poses.items()}
-    sizes |= {f"twist0 {k}": (x, 1) for k, x in base.twists.items()}
-    if model.batch_size(**sizes) not in (None, 1):
+    if base.batch_size != 1:
         raise ArgumentError(
             "the problem with its start has several trajectories; expected one, "
             "such as problem.of_body(0)"
@@ -188,7 +186,7 @@ def _covariance(given: Any, parameters: tuple[Parameter, ...]) -> Array:
             f"covariance has {', '.join(map(str, given))}; expected an entry for each of "
             f"{', '.join(names)}"
         )
-    sigma, first = np.zeros((size, size)), 0
+    sigma, slices = np.zeros((size, size)), slices_of(parameters)
     for p in parameters:
         label = f"covariance[{p.name!r}]"
         own = as_floats(label, given[p.name])
@@ -196,9 +194,8 @@ def _covariance(given: Any, parameters: tuple[Parameter, ...]) -> Array:
             if not np.all(own >= 0.0):
                 raise ArgumentError(f"{label}={brief(own)}; expected deviations, 0 or more")
             own = np.diag(np.broadcast_to(own, p.size) ** 2)
-        part = slice(first, first + p.size)
+        part = slices[p.name]
         sigma[part, part] = _checked(label, own, p.size)
-        first += p.size
     return sigma
 
 
@@ -209,25 +206,27 @@ def _checked(label: str, given: Any, size: int) -> Array:
             f"{label} has shape {sigma.shape}; expected ({size}, {size}), finite, in the order of "
             "the parameters and their numbers"
         )
-    scale = np.sqrt(np.abs(np.diag(sigma)))
-    units = np.where(scale > 0.0, scale, 1.0)
+    units = _units(sigma)
     unit = sigma / np.outer(units, units)
     if np.abs(unit - unit.T).max() > SYMMETRY or np.linalg.eigvalsh(unit).min() < -size * SYMMETRY:
         raise ArgumentError(f"{label} is not symmetric with eigenvalues of 0 or more")
     return np.asarray(0.5 * (sigma + sigma.T))
 
 
+def _units(sigma: Array) -> Array:
+    """Return the standard deviation of each number, 1 for a number without any."""
+    scale = np.sqrt(np.abs(np.diag(sigma)))
+    return np.where(scale > 0.0, scale, 1.0)
+
+
 def _sample(variation: Variation, runs: Runs, sigma: Array, count: int, seed: int) -> Result:
     """Integrate a sample of the Gaussian as one batch."""
-    scale = np.sqrt(np.diag(sigma))
-    units = np.where(scale > 0.0, scale, 1.0)
+    units = _units(sigma)
     values, vectors = np.linalg.eigh(sigma / np.outer(units, units))
     half = units[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
     draws = np.random.default_rng(seed).standard_normal((count, len(sigma))) @ half.T
-    changes, first = {}, 0
-    for p in variation.parameters:
-        changes[p.name] = draws[:, first : first + p.size]
-        first += p.size
+    slices = slices_of(variation.parameters)
+    changes = {name: draws[:, part] for name, part in slices.items()}
     try:
         varied = variation.at(changes)
     except LierbError as error:
@@ -253,9 +252,7 @@ def _moments(quantity: Quantity, nominal: Array, values: Array) -> tuple[Array, 
 
 def _compared(linear: Array, sample: Array, shift: Array, size: int) -> tuple[Array, Any]:
     """Return the ratios of standard deviations, and where linear theory holds."""
-    expected, got = (
-        np.sqrt(np.maximum(np.diagonal(x, axis1=-2, axis2=-1), 0.0)) for x in (linear, sample)
-    )
+    expected, got = deviations_of(linear), deviations_of(sample)
     is_zero = (expected <= ROUNDING * expected.max()) & (got <= ROUNDING * expected.max())
     with np.errstate(divide="ignore", invalid="ignore"):
         ratio = np.where(is_zero, np.nan, got / expected)

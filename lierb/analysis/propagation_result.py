@@ -71,8 +71,7 @@ class Propagation(Represented):
         require_name("how", how, ("linear", "sample"))
         covariances = getattr(self, how)
         require_name("of", of, covariances)
-        variances = np.diagonal(covariances[of], axis1=-2, axis2=-1)
-        return np.asarray(np.sqrt(np.maximum(variances, 0.0)))
+        return deviations_of(covariances[of])
 
     def holds_until(self, of: str) -> float:
         """Return the last time up to which linear theory holds, s; NaN if it never does.
@@ -111,3 +110,9 @@ class Propagation(Represented):
             mark = "" if self.holds[name][i] else ", linear theory does not hold"
             listed = ", ".join(f"{x:.3g}" for x in deviations[i])
             yield f"  t = {self.t[i]:g} s", f"({listed}), sample / linear {shown}{mark}"
+
+
+def deviations_of(covariances: Array) -> Array:
+    """Return the standard deviations of covariances, (…, w)."""
+    variances = np.diagonal(covariances, axis1=-2, axis2=-1)
+    return np.asarray(np.sqrt(np.maximum(variances, 0.0)))

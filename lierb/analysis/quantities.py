@@ -55,10 +55,7 @@ class Quantity:
 
     def values(self, result: Result) -> Array:
         """Return the values at the saved times, (times, n, *shape)."""
-        return self._of_column(result, self.name)
-
-    def _of_column(self, result: Result, name: str) -> Array:
-        column = np.asarray(result[name])
+        column = np.asarray(result[self.name])
         return column.reshape(*column.shape[:2], *self.shape)
 
     def difference(self, first: Array, second: Array) -> Array:

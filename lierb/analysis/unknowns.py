@@ -17,7 +17,7 @@ import numpy as np
 from lierb.analysis.pseudo_inertia import SIZES, body_of, coordinates_of, derivatives_of
 from lierb.errors import ArgumentError, LierbError, brief, unknown_name
 from lierb.lie import se3
-from lierb.runs.parameters import SYMMETRIC, Parameter, chosen_parameters
+from lierb.runs.parameters import SYMMETRIC, Parameter, chosen_parameters, slices_of
 from lierb.runs.variations import Variation
 from lierb.support.arrays import Array, as_floats
 
@@ -43,12 +43,8 @@ class Unknowns:
         self.variation, self.count, self._least = variation, count, least
         self.numbers = [p for p in variation.parameters if not p.is_start]
         self.starts = [p for p in variation.parameters if p.is_start]
-        ends = np.cumsum([0, *(p.size for p in self.numbers)])
-        self.slices = {
-            p.name: slice(int(a), int(b))
-            for p, (a, b) in zip(self.numbers, pairwise(ends), strict=True)
-        }
-        self.shared = int(ends[-1])  # number of unknowns of all trajectories together
+        self.slices, self.start_parts = slices_of(self.numbers), slices_of(self.starts)
+        self.shared = sum(p.size for p in self.numbers)  # unknowns of all trajectories together
 
     # ---- starts --------------------------------------------------------------------------------
 
@@ -136,11 +132,7 @@ class Unknowns:
         changes = {name: each - values[name] for name, each in self.numbers_at(x).items()}
         moved = np.array([b @ x[s] for b, s in zip(self.bases, self.start_slices, strict=True)])
         moved = moved if self.count > 1 else moved[0]
-        first = 0
-        for p in self.starts:
-            changes[p.name] = moved[..., first : first + p.size]
-            first += p.size
-        return changes
+        return changes | {name: moved[..., part] for name, part in self.start_parts.items()}
 
     def slope(self, x: Array) -> Array:
         """Return the derivatives of the shared unknowns by their coordinates."""

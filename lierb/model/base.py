@@ -13,7 +13,8 @@ from lierb.errors import LierbError
 from lierb.kernels.mechanics import elements as kinds
 from lierb.kernels.mechanics.newton_euler import BodyConstants, Parameters
 from lierb.kernels.mechanics.rows import Rows
-from lierb.kernels.numbers.vec import IDENTITY, ZERO3
+from lierb.kernels.mechanics.spatial import Rigid
+from lierb.kernels.numbers.vec import IDENTITY, ZERO3, scale
 from lierb.kernels.systems.plan import AnyPlan
 from lierb.model.acting import ELEMENTS, bind, shown_element
 from lierb.model.bodies.body import Body
@@ -308,6 +309,12 @@ def parameters_of(body: Body, joint: Joint | None, gravity: Array) -> Parameters
         pitch=np.float64(0.0) if joint is None else joint.pitch,
         length=np.float64(0.0) if joint is None else joint.length,
     )
+
+
+def rigid_of(body: Body) -> Rigid:
+    """Return the mass, first moment and inertia of a body, one array per component."""
+    moment = scale(body.mass, components(body.com))
+    return Rigid(body.mass, moment, components(body.inertia, 2))
 
 
 def numbers_of(elements: Sequence[Element]) -> list[Array]:

@@ -13,8 +13,9 @@ import pyarrow as pa
 from lierb.errors import ArgumentError, unknown_name
 from lierb.kernels.groups import so3
 from lierb.kernels.mechanics.rows import JOINT_ROWS
-from lierb.kernels.mechanics.spatial import Rigid, wrench_from
+from lierb.kernels.mechanics.spatial import wrench_from
 from lierb.kernels.numbers.vec import ZERO6, Vec, add, norm, scale
+from lierb.model.base import rigid_of
 from lierb.model.bodies.body import Body
 from lierb.model.functions.column_names import COMPONENTS
 from lierb.results.columns import as_array, numbers
@@ -132,9 +133,7 @@ class LinkResult(States):
 
 def _momentum_of(body: Body, link: States) -> Vec:
     """Return the momentum of one body about the ground's origin, in the ground's axes."""
-    com, inertia = components(body.com), components(body.inertia, 2)
-    rigid = Rigid(body.mass, scale(body.mass, com), inertia)
-    momentum = rigid.momentum(components(link.omega) + components(link.v))
+    momentum = rigid_of(body).momentum(components(link.omega) + components(link.v))
     place = components(link.rotation, 2), components(link.position)
     return wrench_from(place, momentum)
 

@@ -57,6 +57,15 @@ class Parameter(NamedTuple):
         return self.units is None
 
 
+def slices_of(parameters: Iterable[Parameter]) -> dict[str, slice]:
+    """Return the place of each parameter, by name, among the numbers of all in order."""
+    slices, first = {}, 0
+    for p in parameters:
+        slices[p.name] = slice(first, first + p.size)
+        first += p.size
+    return slices
+
+
 def chosen_parameters(model: Model, given: Any) -> tuple[Parameter, ...]:
     """Return the parameters of the argument `with_respect_to`. Raises ArgumentError."""
     expected = "names of parameters, such as omega0 or body.mass"

@@ -34,6 +34,13 @@ class Varied(NamedTuple):
     twists: dict[str, Array]
 
     @property
+    def batch_size(self) -> int:
+        """Return the number of trajectories. Raises ArgumentError if arrays disagree."""
+        sizes = {f"pose0 {k}": (x, 2) for k, x in self.poses.items()}
+        sizes |= {f"twist0 {k}": (x, 1) for k, x in self.twists.items()}
+        return self.model.batch_size(**sizes) or 1
+
+    @property
     def start(self) -> dict[str, Any]:
         """Return the keywords pose0 and twist0 of `lierb.integrate`."""
         from_links = self.model.from_links

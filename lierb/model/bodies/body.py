@@ -90,7 +90,7 @@ class Body(Represented):
         _check_mass(masses)
         moments = _checked_symmetric(moments)
         if about == "com":
-            moments = _moved(masses, moments, centre, 1.0)
+            moments = moved_inertia(masses, moments, centre, 1.0)
         _check_physical(masses, moments, centre, about)
         _check_gyration(masses, moments)
         moments.setflags(write=False)
@@ -144,8 +144,11 @@ def _checked_symmetric(moments: Array) -> Array:
 
 
 @np.errstate(all="ignore")
-def _moved(masses: Array, moments: Array, centre: Array, sign: float) -> Array:
-    """Inertia about the origin, sign 1, or the centre of mass, −1; InertiaError if it overflows."""
+def moved_inertia(masses: Array, moments: Array, centre: Array, sign: float) -> Array:
+    """Return the inertia about the origin, sign 1, or the centre of mass, −1.
+
+    Raises InertiaError if it overflows.
+    """
     shift = unit_inertia(components(centre))
     parts = zip(components(moments, 2), shift, strict=True)
     moved = assembled(tuple(i + sign * (masses * s) for i, s in parts), 3, 3)
@@ -162,7 +165,7 @@ def _moved(masses: Array, moments: Array, centre: Array, sign: float) -> Array:
 @np.errstate(over="ignore")
 def _check_physical(masses: Array, moments: Array, centre: Array, about: str) -> None:
     """Raise InertiaError unless a body with this inertia about the origin can exist."""
-    about_com = _moved(masses, moments, centre, -1.0)
+    about_com = moved_inertia(masses, moments, centre, -1.0)
     rounding = ROUNDING * (masses * np.sum(centre * centre, axis=-1))
     if objection := _objection(about_com, rounding):
         hint = ""

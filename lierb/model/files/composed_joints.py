@@ -1,8 +1,8 @@
 """Compose the simple joints of a body into one joint of the catalogue.
 
 Files describe a joint with several degrees of freedom as a sequence of hinges, slides and balls,
-C = C₀ exp(S₁q₁) exp(S₂q₂) …, all in the axes of the body at q = 0. The
-sequence is replaced by one joint of the catalogue with the same motions, if there is one.
+C = C₀ exp(S₁q₁) exp(S₂q₂) …, all in the axes of the body at q = 0. The sequence is replaced by one
+joint of the catalogue with the same motions, if there is one.
 """
 
 from __future__ import annotations

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from lierb.errors import ArgumentError, LierbError, brief, require_name
+from lierb.model.bodies.body import Body
 from lierb.model.files.compilation import compiled
 from lierb.model.files.composed_joints import SimpleJoint, composed
 from lierb.model.files.joint_forces import KINDS, JointForces
@@ -22,12 +23,12 @@ from lierb.model.files.parts import GROUND, Parts, Placed
 from lierb.model.files.welded_bodies import (
     PART,
     WORLD,
+    is_massless,
     label_of,
     light_body,
     moving_body,
     pose_of,
     rigid_groups,
-    weighs,
 )
 from lierb.model.joints.joint import Joint
 from lierb.support.arrays import as_positive
@@ -83,29 +84,18 @@ def _add_links(
     groups, lost = rigid_groups(model, merge_fixed)
     for i in range(1, model.nbody):
         on, label = placed[model.body_parentid[i]], label_of(model, i)
-        first = model.body_jntadr[i]
         where = on.pose @ pose_of(model.body_pos[i], model.body_quat[i])
         if i not in groups:
             placed.append(Placed(on.link, where))
             if i in lost:
                 parts.left_out.append(f"{lost[i]}; it is part of {on.link}")
             continue
-        sequence = [*range(first, first + model.body_jntnum[i])]
         name = parts.free_name(model.body(i).name, label)
         placed.append(Placed(name, np.eye(4)))
         body = moving_body(model, i, groups[i])
-        if not any(weighs(model, k) for k in groups[i]):
+        if is_massless(model, groups[i]):
             parts.light.append(name)
-        chain = composed([_simple_joint(model, j) for j in sequence], where)
-        parent = on.link
-        for k, joint in enumerate(chain):
-            is_last = k == len(chain) - 1
-            link = name if is_last else parts.free_name(f"{name}_{k + 1}", "")
-            parts.links.append((link, body if is_last else light_body(model, i), joint, parent))
-            within = sequence if len(chain) == 1 else sequence[k : k + 1]
-            _add_forces(model, parts, within, label, link, joint, limit_stiffness)
-            parent = link
-        parts.light += [link for link, *_ in parts.links[-len(chain) : -1]]
+        _add_chain(model, parts, i, Placed(on.link, where), name, body, limit_stiffness)
     fixed = [
         f"{label_of(model, i)} {model.body_mass[i]:.6g} kg"
         for i in groups[WORLD]
@@ -114,6 +104,28 @@ def _add_links(
     if fixed:
         parts.left_out.append(f"mass of what is welded to the ground: {', '.join(fixed)}")
     return placed
+
+
+def _add_chain(
+    model: MjModel, parts: Parts, i: int, base: Placed, name: str, body: Body,
+    limit_stiffness: float | None,
+) -> None:  # fmt: skip
+    """Add the link of body i, with links without mass between the joints that do not compose.
+
+    base : pose of the body at q = 0, in its parent.
+    """
+    first, parent = model.body_jntadr[i], base.link
+    sequence = [*range(first, first + model.body_jntnum[i])]
+    chain = composed([_simple_joint(model, j) for j in sequence], base.pose)
+    for k, joint in enumerate(chain, 1):
+        link, own = name, body
+        if k < len(chain):
+            link, own = parts.free_name(f"{name}_{k}", ""), light_body(model, i)
+            parts.light.append(link)
+        parts.links.append((link, own, joint, parent))
+        within = sequence if len(chain) == 1 else sequence[k - 1 : k]
+        _add_forces(model, parts, within, label_of(model, i), link, joint, limit_stiffness)
+        parent = link
 
 
 def _add_forces(

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lierb.model.bodies.body import Body
+from lierb.model.bodies.body import Body, moved_inertia
 from lierb.model.functions.wrenches import Force
 from lierb.model.joints.joint import Joint
 from lierb.support.arrays import Array
@@ -63,17 +63,14 @@ class Parts:
             on_parent[:3, 3] -= centres[parent]
             return replace(joint, body_frame=on_body, ground_frame=on_parent)
 
+        def about_centre(body: Body) -> Body:
+            return Body(body.mass, moved_inertia(body.mass, body.inertia, body.com, -1.0))
+
         self.links = [
-            (name, _about_centre(body), moved(joint, name, parent), parent)
+            (name, about_centre(body), moved(joint, name, parent), parent)
             for name, body, joint, parent in self.links
         ]
         self.loops = [
             (name, moved(joint, body, parent), body, parent)
             for name, joint, body, parent in self.loops
         ]
-
-
-def _about_centre(body: Body) -> Body:
-    """Return the body in a frame at its centre of mass."""
-    c = body.com
-    return Body(body.mass, body.inertia - body.mass * (c @ c * np.eye(3) - np.outer(c, c)))

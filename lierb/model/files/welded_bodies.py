@@ -42,10 +42,10 @@ def moving_body(model: MjModel, i: int, members: list[int]) -> Body:
     nothing with a mass does, or if the inertia is not physical.
     """
     label, counted = label_of(model, i), members
-    is_light = not any(weighs(model, k) for k in members)
+    is_light = is_massless(model, members)
     if is_light:
         counted = _hanging_on(model, i)
-        if not any(weighs(model, k) for k in counted):
+        if is_massless(model, counted):
             raise ArgumentError(
                 f"body {label} moves and has no mass, so that its mass matrix is singular; give it "
                 "one, or weld it to another"
@@ -54,7 +54,7 @@ def moving_body(model: MjModel, i: int, members: list[int]) -> Body:
         body = _sum(model, i, counted)
         return _light(body) if is_light else body
     except LierbError as error:
-        others = ", ".join(label_of(model, k) for k in members if k != i and weighs(model, k))
+        others = ", ".join(label_of(model, k) for k in members if k != i and _weighs(model, k))
         welded = f", with {others} welded to it" if others else ""
         raise ArgumentError(f"body {label}{welded}: {error}") from error
 
@@ -109,8 +109,13 @@ def _refusal(model: MjModel, i: int, members: list[int]) -> str:
     return ""
 
 
-def weighs(model: MjModel, i: int) -> bool:
+def _weighs(model: MjModel, i: int) -> bool:
     return bool(model.body_mass[i] or np.any(model.body_inertia[i]))
+
+
+def is_massless(model: MjModel, members: list[int]) -> bool:
+    """Return whether none of the bodies has a mass or an inertia."""
+    return not any(_weighs(model, k) for k in members)
 
 
 def rigid_groups(model: MjModel, merge_fixed: bool) -> tuple[dict[int, list[int]], dict[int, str]]:
@@ -131,7 +136,7 @@ def rigid_groups(model: MjModel, merge_fixed: bool) -> tuple[dict[int, list[int]
         return [k for k, owner in enumerate(owners) if owner == i]
 
     def merge(i: int, because_of: int, reason: str) -> None:
-        if weighs(model, i) and any(weighs(model, k) for k in members(because_of)):
+        if _weighs(model, i) and not is_massless(model, members(because_of)):
             lost[i] = (
                 f"body {label_of(model, i)} as a link of its own: "
                 f"{label_of(model, because_of)}'s {reason}"

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from lierb.errors import ArgumentError
-from lierb.model.bodies.body import Body
+from lierb.model.base import rigid_of
 from lierb.model.joints.coordinates import motions_of
 from lierb.model.mechanism.kinematics import TreeKinematics
-from lierb.support.arrays import Array
+from lierb.support.arrays import components
 
 LEAST = 1e-9  # smallest eigenvalue of a regular mass matrix with ones on its diagonal
 
@@ -26,7 +26,9 @@ def require_regular(mechanism: TreeKinematics, names: list[str]) -> None:
         for rate in np.eye(len(motions.names))
     ]
     momenta = [
-        np.concatenate([_momentum(x.body, twist[x.name]) for x in mechanism.links])
+        np.concatenate(
+            [rigid_of(x.body).momentum(components(twist[x.name])) for x in mechanism.links]
+        )
         for _, twist in moves
     ]
     twists = [np.concatenate([twist[x.name] for x in mechanism.links]) for _, twist in moves]
@@ -43,10 +45,3 @@ def require_regular(mechanism: TreeKinematics, names: list[str]) -> None:
             f"body {name} moves and has no mass, and can move without what hangs on it: the mass "
             "matrix is singular; give it a mass, or weld it to another"
         )
-
-
-def _momentum(body: Body, twist: Array) -> Array:
-    """Return angular momentum about the frame's origin and momentum, in body axes."""
-    omega, v = twist[:3], twist[3:]
-    momentum = body.mass * (v + np.cross(omega, body.com))
-    return np.concatenate((body.inertia @ omega + body.mass * np.cross(body.com, v), momentum))
