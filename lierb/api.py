@@ -237,7 +237,7 @@ def integrate(
     ['ok']
     """
     model = checked_model(problem)
-    model = model.with_events(events) if events else model
+    model = model.with_(events=events) if events else model
     options = Options.of(
         model, cspace=cspace, update=update, record=record, check=check, solver=solver,
         stabilise=stabilise, seed=seed, trajectories=trajectories,

@@ -167,11 +167,11 @@ def test_parameters_of_two_elements_of_one_name_are_one_batch():
 
 
 def test_with_events_adds_to_those_there_are(made):
-    more = made.with_events(plain_event())
+    more = made.with_(events=plain_event())
     assert [e.name for e in more.events] == ["landing", "roof", "plain_event"]
     assert more.signals == made.signals
     with pytest.raises(ArgumentError, match="two events are named landing"):
-        made.with_events(landing())
+        made.with_(events=landing())
 
 
 # ---- mechanisms --------------------------------------------------------------------------------
@@ -191,7 +191,7 @@ def test_mechanism_has_all_of_it_on_its_links():
     assert [e.at for e in whole.elements[2:]] == [("tip", "bus"), ("bus",), ("bus",), ("tip",)]
     assert whole.batch_size() == 2
     assert whole.of_body(1).events[0].parameters["height"] == 0.5
-    more = whole.with_events(plain_event().on("tip"))
+    more = whole.with_(events=plain_event().on("tip"))
     assert [e.name for e in more.events] == ["landing", "plain_event"]
     with pytest.raises(ArgumentError, match=r"controllers\[0\], blinking, is on no link"):
         lierb.Mechanism(links, controllers=blinking())
@@ -513,7 +513,7 @@ def test_wrench_that_branches_sees_states_body_by_body():
         signals = Signals((1.0, 2.0, 3.0, filtered), (5.0, 0.0, 0.0, 0.0))
         torque, _ = function((), *arguments, signals=signals)
         assert torque == (expected, 0.0, 0.0)
-    again = found.with_events(plain_event())
+    again = found.with_(events=plain_event())
     assert again.forces[0].kind is found.forces[0].kind  # and no second warning
 
 

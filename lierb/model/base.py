@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, ClassVar, Self
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from lierb.errors import LierbError
 from lierb.kernels.mechanics import elements as kinds
@@ -29,6 +30,7 @@ from lierb.model.functions.observables import Observable
 from lierb.model.functions.states import ExtraStates
 from lierb.model.functions.wrenches import Force
 from lierb.model.joints.joint import Joint
+from lierb.model.numbers import Numbers, by_field, elements_with
 from lierb.support.arrays import (
     Array,
     Pose,
@@ -83,6 +85,10 @@ class Model(Represented):
         """Arguments of the constructor before the elements."""
         raise NotImplementedError
 
+    def _structure_with(self, numbers: Numbers) -> tuple[Any, ...]:
+        """Arguments of the constructor before the elements, with numbers by field of `inputs`."""
+        raise NotImplementedError
+
     def _structure_of(self, which: Which) -> tuple[Any, ...]:
         """Arguments of the constructor before the elements, for part of the batch."""
         raise NotImplementedError
@@ -115,11 +121,83 @@ class Model(Represented):
             if element.references:
                 element.require_unchanged()
 
-    def with_events(self, events: Event | Iterable[Event]) -> Self:
-        """Return the model with further events, after those that it has."""
-        elements = {label: getattr(self, label) for label in ELEMENTS}
-        elements["events"] = (*self.events, *self._fitted("events", events, Event))
-        return type(self)(*self._structure, **elements)
+    def with_(
+        self,
+        numbers: Mapping[str, ArrayLike] | None = None,
+        *,
+        forces: Force | Iterable[Force] = (),
+        constraints: Constraint | Iterable[Constraint] = (),
+        observables: Observable | Iterable[Observable] = (),
+        events: Event | Iterable[Event] = (),
+        states: ExtraStates | Iterable[ExtraStates] = (),
+        controllers: Controller | Iterable[Controller] = (),
+    ) -> Self:
+        """Return the model with other numbers and with further elements, such as forces.
+
+        Parameters
+        ----------
+        numbers : dict, optional
+            New numbers, or arrays of n of them, by name: `gravity`, m/s²; `body.mass`, kg;
+            `body.inertia`, kg m², about the origin of the body frame; `body.com`, m;
+            `joint.body_point` and `joint.ground_point` (of links also `joint.parent_point`), m;
+            `joint.body_frame` and `joint.ground_frame`; `joint.pitch`, m/rad; `joint.length`, m;
+            and each parameter of a force or other element, such as `spring_damper.stiffness`. In a
+            mechanism the link's or loop's name comes first: `forearm.body.mass`. Names are those of
+            `with_respect_to` in `lierb.integrate`.
+        forces : Force or iterable of Force, optional
+            Forces after those that the model has, as for its constructor.
+        constraints : Constraint or iterable of Constraint, optional
+            Further constraints.
+        observables : Observable or iterable of Observable, optional
+            Further observables.
+        events : Event or iterable of Event, optional
+            Further events.
+        states : ExtraStates or iterable of ExtraStates, optional
+            Further states.
+        controllers : Controller or iterable of Controller, optional
+            Further controllers.
+
+        Returns
+        -------
+        Problem or Mechanism
+            The changed model; the original stays as it is.
+
+        Raises
+        ------
+        UnknownNameError
+            The model has no number of that name.
+        ArgumentError
+            An array has a wrong shape, or batches differ in size.
+        InertiaError
+            No rigid body can have this mass or inertia.
+        ForceError
+            An element does not fit the model.
+
+        Examples
+        --------
+        >>> import lierb
+        >>> wheel = lierb.Link("wheel", lierb.bodies.sphere(0.1, mass=1.0), lierb.joints.revolute())
+        >>> plain = lierb.Mechanism(wheel)
+        >>> brake = lierb.forces.joint_friction(coulomb=0.1, speed=1e-3).on("wheel")
+        >>> braked = plain.with_({"wheel.body.mass": [1.0, 1.5, 2.0]}, forces=brake)
+        >>> braked.batch_size(), braked.with_({"wheel.joint_friction.coulomb": 0.2}).forces
+        (3, (<joint_friction: viscous, coulomb, speed, on wheel>,))
+        """
+        changed = self.renumbered(by_field(self, numbers)) if numbers else self
+        added = {
+            "forces": forces, "constraints": constraints, "observables": observables,
+            "events": events, "states": states, "controllers": controllers,
+        }  # fmt: skip
+        elements = {
+            label: (*getattr(changed, label), *self._fitted(label, added[label], kind))
+            for label, kind in ELEMENTS.items()
+        }
+        return type(self)(*changed._structure, **elements)
+
+    def renumbered(self, numbers: Numbers) -> Self:
+        """Return the model with other numbers in some fields of `inputs`, in the shapes there."""
+        elements = elements_with(self, numbers)
+        return type(self)(*self._structure_with(numbers), **elements)
 
     def _shown_elements(self) -> list[tuple[str, str]]:
         def line(element: Element) -> str:
@@ -238,6 +316,16 @@ class Model(Represented):
     @property
     def fields(self) -> tuple[str, ...]:
         """Prefix of each link's fields in the inputs of the kernels."""
+        raise NotImplementedError
+
+    @property
+    def joint_fields(self) -> tuple[str, ...]:
+        """Prefix of each joint's fields in the inputs of the kernels."""
+        raise NotImplementedError
+
+    @property
+    def element_fields(self) -> tuple[str, ...]:
+        """Prefix of each element's fields in the inputs of the kernels."""
         raise NotImplementedError
 
     @property

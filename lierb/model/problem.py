@@ -41,6 +41,7 @@ from lierb.model.functions.wrenches import Force
 from lierb.model.joints.joint import MOST_ROWS, Joint
 from lierb.model.mechanism.row_system import CLOSED, LEAST_GYRATION, NEWTON_STEPS
 from lierb.model.mechanism.start_checks import violation_of_body
+from lierb.model.numbers import Numbers, body_with, joint_with
 from lierb.support.arrays import (
     Array,
     Pose,
@@ -144,6 +145,10 @@ class Problem(Model):
     def _structure(self) -> tuple[Any, ...]:
         return self.body, self.joint, self.gravity
 
+    def _structure_with(self, numbers: Numbers) -> tuple[Any, ...]:
+        body, joint = body_with(self.body, numbers, ""), joint_with(self.joint, numbers, "")
+        return body, joint, numbers.get("gravity", self.gravity)
+
     def _structure_of(self, which: Which) -> tuple[Any, ...]:
         return self.body.of(which), self.joint.of(which), items_at(self.gravity, which, 1)
 
@@ -183,6 +188,7 @@ class Problem(Model):
     flags_starts = True
     link_names = ("",)
     fields = ("",)
+    joint_fields = ("",)
     order = (0,)
 
     @cached_property
@@ -196,11 +202,15 @@ class Problem(Model):
     def bodies(self) -> tuple[Body, ...]:
         return (self.body,)
 
+    @cached_property
+    def element_fields(self) -> tuple[str, ...]:
+        return tuple(f"{i}." for i in range(len(self.elements)))
+
     @property
     def inputs(self) -> dict[str, Array]:
         parameters = {
-            f"{number}.{name}": element.parameters[name]
-            for number, element in enumerate(self.elements)
+            f"{field}{name}": element.parameters[name]
+            for field, element in zip(self.element_fields, self.elements, strict=True)
             for name in element.kind.shapes
         }
         return {**self.quantities, **parameters, "pose": CLOSED_POSE}

@@ -18,18 +18,13 @@ from lierb.model.base import Model
 from lierb.model.forces.built_in import BuiltIn
 from lierb.model.functions.elements import Element
 from lierb.model.functions.states import ExtraStates
-from lierb.model.mechanism.mechanism import Mechanism
+from lierb.model.numbers import POINTS, labelled
 from lierb.runs.start_directions import Moved, Seeds, Start, frame_seeds, omega_units
 from lierb.support.arrays import Array
 
 TWIST_UNITS = "rad/s, rad/s, rad/s, m/s, m/s, m/s"
 POSE_UNITS = "rad, rad, rad, m, m, m"
 STARTS = {"twist0": (6, TWIST_UNITS), "omega0": (3, "rad/s"), "pose0": (6, POSE_UNITS)}
-POINTS = {  # points of a joint: field of the frame of which each is the origin
-    "body_point": "body_frame",
-    "ground_point": "ground_frame",
-    "parent_point": "ground_frame",
-}
 SYMMETRIC = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))  # entries of an inertia
 OF_LISTS = ("problem", *ELEMENTS)  # prefixes of names in a study
 
@@ -86,7 +81,7 @@ def chosen_parameters(model: Model, given: Any) -> tuple[Parameter, ...]:
 
 
 def _unknown(model: Model, name: str, known: dict[str, Parameter]) -> LierbError:
-    for element, label in _labels(model):
+    for element, label, _ in labelled(model):
         for parameter in element.kind.discontinuities:
             if name == f"{label}.{parameter}":
                 return ArgumentError(
@@ -109,17 +104,16 @@ def _parameters(model: Model) -> Iterator[Parameter]:
         for name, own in units.items():
             yield _plain(f"{prefix}body.{name}", f"{field}{name}", own, INPUTS.field(name).unit)
     yield from _of_joints(model)
-    for element, label in _labels(model):
-        yield from _of_element(model, element, label)
+    for each in labelled(model):
+        yield from _of_element(model, *each)
 
 
 def _of_joints(model: Model) -> Iterator[Parameter]:
-    is_mechanism = isinstance(model, Mechanism)
-    for number, at in enumerate(model.joints):
+    for at, first in zip(model.joints, model.joint_fields, strict=True):
         assert at.joint is not None
-        prefix, first = (f"{at.name}.joint.", f"{number}.") if is_mechanism else ("joint.", "")
+        prefix = f"{at.name}.joint." if at.name else "joint."
         for point, frame in POINTS.items():
-            if point == "parent_point" and not is_mechanism:
+            if point == "parent_point" and not at.name:
                 continue
             units = np.zeros((3, 1, 12))
             units[range(3), 0, range(9, 12)] = 1.0
@@ -128,18 +122,16 @@ def _of_joints(model: Model) -> Iterator[Parameter]:
             yield _geometric(model, f"{prefix}{name}", unit, {f"{first}{name}": np.ones((1, 1, 1))})
 
 
-def _of_element(model: Model, element: Element, label: str) -> Iterator[Parameter]:
-    field = f"element{_index(model, element)}" if isinstance(model, Mechanism) else ""
-    field = field or str(_index(model, element))
+def _of_element(model: Model, element: Element, label: str, field: str) -> Iterator[Parameter]:
     for name, shape in element.kind.shapes.items():
         if name in element.kind.discontinuities:
             continue
-        short, unit = name.removeprefix(INITIAL), _unit(element, name)
-        seeds = {f"{field}.{name}": np.eye(prod(shape))[:, None]}
+        short, unit = element.short(name), _unit(element, name)
+        seeds = {f"{field}{name}": np.eye(prod(shape))[:, None]}
         if element.kind.rows:  # a constraint: the start must satisfy it
             yield _geometric(model, f"{label}.{short}", unit, seeds)
         else:
-            yield _plain(f"{label}.{short}", f"{field}.{name}", np.eye(prod(shape)), unit)
+            yield _plain(f"{label}.{short}", f"{field}{name}", np.eye(prod(shape)), unit)
 
 
 def _unit(element: Element, parameter: str) -> str:
@@ -148,20 +140,8 @@ def _unit(element: Element, parameter: str) -> str:
     if isinstance(kind, BuiltIn) and parameter in kind.parameters:
         return kind.parameters[parameter].unit
     if isinstance(element, ExtraStates) and parameter.startswith(INITIAL):
-        return element.units.get(parameter.removeprefix(INITIAL), "1")
+        return element.units.get(element.short(parameter), "1")
     return ""
-
-
-def _labels(model: Model) -> Iterator[tuple[Element, str]]:
-    """Yield each element with its name: that of its columns, with a number if several have it."""
-    names = [".".join((*e.at[:1], e.name)) for e in model.elements]
-    for i, (element, name) in enumerate(zip(model.elements, names, strict=True)):
-        number = f"_{names[:i].count(name) + 1}" if names.count(name) > 1 else ""
-        yield element, f"{name}{number}"
-
-
-def _index(model: Model, element: Element) -> int:
-    return next(i for i, each in enumerate(model.elements) if each is element)
 
 
 # ---- directions --------------------------------------------------------------------------------

@@ -17,7 +17,6 @@ from lierb.lie import se3
 from lierb.model.base import Model
 from lierb.model.mechanism.mechanism import Mechanism
 from lierb.model.problem import Problem
-from lierb.model.renumbered import renumbered
 from lierb.runs.parameters import Parameter
 from lierb.runs.start_directions import Start, carried
 from lierb.runs.starts import arrays_of, at_rest
@@ -106,7 +105,7 @@ class Variation:
                 before = numbers.get(p.fields[0], own)  # several points may share a frame
                 values = self.values[p.name] + changes[p.name]
                 numbers[p.fields[0]] = _replaced(before, own.shape, p, values)
-        model = renumbered(self.model, numbers) if numbers else self.model
+        model = self.model.renumbered(numbers) if numbers else self.model
         poses, twists = self._moved_start(model, changes)
         return Varied(model, poses, twists)
 

@@ -12,6 +12,7 @@ use their `Signals`.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import islice
 from typing import Any, ClassVar, NamedTuple
@@ -103,6 +104,9 @@ class Element:
     jumping: ClassVar[tuple[str, ...]] = ()
     discontinuities: tuple[str, ...] = ()  # parameters that are times of possible jumps, s
     rows: int = 0
+
+    def require_fit(self, parameters: Mapping[str, Any]) -> None:
+        """Raise ArgumentError for parameters, arrays by name, that no such element can have."""
 
     @property
     def depends_on_velocity(self) -> bool:

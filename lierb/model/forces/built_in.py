@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple
 
@@ -16,6 +16,7 @@ from lierb.kernels.mechanics.newton_euler import Frames
 from lierb.kernels.numbers.arithmetic import sqrt, where
 from lierb.kernels.numbers.vec import Vec, cross, dot
 from lierb.model.functions.wrenches import Force
+from lierb.support.arrays import Array
 
 ORIGIN = (0.0, 0.0, 0.0)
 
@@ -70,13 +71,14 @@ class BuiltIn(Element):
 
     def force(self, /, **values: ArrayLike) -> Force:
         """Make the force with these parameters."""
-        made = Force.of(self.name, self, values)
+        return Force.of(self.name, self, values)
+
+    def require_fit(self, parameters: Mapping[str, Array]) -> None:
         for name in (n for n, p in self.parameters.items() if not p.is_signed):
-            array = np.atleast_1d(made.parameters[name])
+            array = np.atleast_1d(parameters[name])
             for body in np.flatnonzero(array < 0.0)[:1]:
                 label = body_label(name, int(body), array.size)
                 raise ArgumentError(f"{label} is {array[body]}; expected zero or a positive number")
-        return made
 
     def placed(self, values: dict[str, Any], frames: Frames) -> tuple[Any, ...]:
         own = self.parameters

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any, ClassVar
 
 import numpy as np
@@ -35,7 +36,7 @@ from lierb.model.forces.built_in import (
     unit_force_at,
 )
 from lierb.model.functions.wrenches import Force
-from lierb.support.arrays import as_floats, check_rotations
+from lierb.support.arrays import Array, as_floats, check_rotations
 
 __all__ = ["bushing"]
 
@@ -62,6 +63,12 @@ class Bushing(BuiltIn):
     }  # fmt: skip
     is_conservative: ClassVar = True
     working: ClassVar = ("damping",)
+
+    def require_fit(self, parameters: Mapping[str, Array]) -> None:
+        for name in ("stiffness", "damping"):
+            _check_gain(name, parameters[name], len(self.shapes[name]) == 2)
+        for name in ("axes", "rotation"):
+            check_rotations(name, parameters[name])
 
     def placed(self, values: dict[str, Any], frames: Frames) -> tuple[Any, ...]:
         """Points, the bushing's axes in ground and body, stiffness and damping."""
@@ -203,14 +210,9 @@ def bushing(
     if coupled:
         gains = {name: _as_matrix(gain) for name, gain in gains.items()}
     kind = CoupledBushing() if coupled else Bushing()
-    made = kind.force(
+    return kind.force(
         body_point=body_point, ground_point=ground_point, axes=axes, rotation=rotation, **gains
     )
-    for name in ("stiffness", "damping"):
-        _check_gain(name, made.parameters[name], coupled)
-    for name in ("axes", "rotation"):
-        check_rotations(name, made.parameters[name])
-    return made
 
 
 def _is_matrix(gain: Any) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any, ClassVar
 
 import numpy as np
@@ -14,7 +15,7 @@ from lierb.kernels.numbers.arithmetic import PI, absolute, fma, maximum, minimum
 from lierb.model.forces.built_in import Parameter
 from lierb.model.forces.joint_axes import AlongJoint, AtJoint
 from lierb.model.functions.wrenches import Force
-from lierb.support.arrays import as_numbers, batch_size
+from lierb.support.arrays import Array
 
 __all__ = ["joint_limit", "slide_limit"]
 
@@ -24,6 +25,7 @@ class JointLimit(AtJoint):
 
     name = "joint_limit"
     bounds_steps: ClassVar = True
+    whole_turn: ClassVar = 2.0 * np.pi
     parameters: ClassVar = {
         "lower": Parameter("rad"),
         "upper": Parameter("rad"),
@@ -33,6 +35,11 @@ class JointLimit(AtJoint):
     is_conservative: ClassVar = True
     working: ClassVar = ("damping",)
     jumping: ClassVar = ("damping",)
+
+    def require_fit(self, parameters: Mapping[str, Array]) -> None:
+        super().require_fit(parameters)
+        turn = np.inf if self.turns else self.whole_turn
+        _require_order(parameters["lower"], parameters["upper"], turn)
 
     def _beyond(self, placed: Any, x: Motion) -> tuple[Any, Any]:
         """Signed distance beyond a stop, and the damping there."""
@@ -74,6 +81,7 @@ class SlideLimit(AlongJoint, JointLimit):
     """Stops at both ends of a slide along the joint axis."""
 
     name = "slide_limit"
+    whole_turn: ClassVar = np.inf
     parameters: ClassVar = {
         "lower": Parameter("m"),
         "upper": Parameter("m"),
@@ -125,7 +133,6 @@ def joint_limit(
     >>> lierb.forces.joint_limit(lower=-0.5, upper=[1.0, 1.5], stiffness=100.0, damping=0.1)
     <joint_limit: lower, upper, stiffness, damping>
     """
-    _require_order(lower, upper, 2.0 * np.pi if turns is None else np.inf)
     return JointLimit.counting(turns).force(
         lower=lower, upper=upper, stiffness=stiffness, damping=damping
     )
@@ -161,14 +168,11 @@ def slide_limit(
     >>> lierb.forces.slide_limit(lower=0.0, upper=0.2, stiffness=[1e3, 1e4])
     <slide_limit: lower, upper, stiffness, damping>
     """
-    _require_order(lower, upper)
     return SlideLimit().force(lower=lower, upper=upper, stiffness=stiffness, damping=damping)
 
 
-def _require_order(lower: ArrayLike, upper: ArrayLike, turn: float = np.inf) -> None:
-    low, high = as_numbers("lower", lower, ()), as_numbers("upper", upper, ())
-    batch_size(lower=low, upper=high)
-    lows, highs = (np.atleast_1d(x) for x in np.broadcast_arrays(low, high))
+def _require_order(lower: Array, upper: Array, turn: float) -> None:
+    lows, highs = (np.atleast_1d(x) for x in np.broadcast_arrays(lower, upper))
     for body in np.flatnonzero(lows > highs)[:1]:
         label = body_label("lower", int(body), lows.size)
         below, above = float(lows[body]), float(highs[body])

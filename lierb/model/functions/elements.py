@@ -45,16 +45,25 @@ class Element:
     def of(cls, name: str, kind: kinds.Element, values: Mapping[str, Any], **fields: Any) -> Self:
         """Check the parameters' values and make an element of them."""
         parameters = {
-            parameter: as_numbers(parameter.removeprefix(kinds.INITIAL), values[parameter], shape)
+            parameter: as_numbers(cls.short(parameter), values[parameter], shape)
             for parameter, shape in kind.shapes.items()
         }
-        element = cls(name, kind, parameters, **fields)
-        batch_size(**element.batched())
-        return element
+        return cls(name, kind, parameters, **fields).checked()
+
+    def checked(self) -> Self:
+        """Return the element. Raises ArgumentError if its parameters do not fit."""
+        batch_size(**self.batched())
+        self.kind.require_fit(self.parameters)
+        return self
 
     def __repr__(self) -> str:
         where = f", on {' and '.join(self.at)}" if self.at else ""
         return f"<{self.name}: {', '.join(self.parameters) or 'no parameters'}{where}>"
+
+    @staticmethod
+    def short(parameter: str) -> str:
+        """Return the name that users give to a parameter of the kernels."""
+        return parameter.removeprefix(kinds.INITIAL)
 
     def on(self, link: str, other: str | None = None) -> Self:
         """Place the element on a link of a `lierb.Mechanism`, or between two links.

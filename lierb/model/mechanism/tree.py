@@ -24,6 +24,7 @@ from lierb.model.functions.observables import Observable
 from lierb.model.functions.states import ExtraStates
 from lierb.model.functions.wrenches import Force
 from lierb.model.mechanism.links import GROUND, Link, Loop
+from lierb.model.numbers import Numbers, body_with, joint_with
 from lierb.support.arrays import (
     Array,
     Which,
@@ -181,10 +182,10 @@ class Tree(Model):
         numbers: dict[str, Array] = {"gravity": self.gravity}
         for i, link in enumerate(self.links):
             numbers |= {f"{i}.{name}": getattr(link.body, name) for name in BODY}
-        for i, each in enumerate(self.links_and_loops):
-            numbers |= {f"{i}.{name}": getattr(each.joint, name) for name in JOINT}
-        for k, element in enumerate(self.elements):
-            numbers |= {f"element{k}.{name}": x for name, x in element.parameters.items()}
+        for field, each in zip(self.joint_fields, self.links_and_loops, strict=True):
+            numbers |= {f"{field}{name}": getattr(each.joint, name) for name in JOINT}
+        for field, element in zip(self.element_fields, self.elements, strict=True):
+            numbers |= {f"{field}{name}": x for name, x in element.parameters.items()}
         return numbers
 
     # ---- connections and elements ----------------------------------------------------------------
@@ -288,6 +289,14 @@ class Tree(Model):
     def fields(self) -> tuple[str, ...]:
         return tuple(f"{i}." for i in range(len(self.links)))
 
+    @cached_property
+    def joint_fields(self) -> tuple[str, ...]:
+        return tuple(f"{i}." for i in range(len(self.links_and_loops)))
+
+    @cached_property
+    def element_fields(self) -> tuple[str, ...]:
+        return tuple(f"element{i}." for i in range(len(self.elements)))
+
     @property
     def bodies(self) -> tuple[Body, ...]:
         return tuple(link.body for link in self.links)
@@ -329,6 +338,21 @@ class Tree(Model):
     @property
     def _structure(self) -> tuple[Any, ...]:
         return self.links, self.loops, self.gravity
+
+    def _structure_with(self, numbers: Numbers) -> tuple[Any, ...]:
+        joints = [
+            joint_with(each.joint, numbers, field)
+            for field, each in zip(self.joint_fields, self.links_and_loops, strict=True)
+        ]
+        links = [
+            replace(x, body=body_with(x.body, numbers, field, x.name), joint=joint)
+            for field, x, joint in zip(self.fields, self.links, joints, strict=False)
+        ]
+        loops = [
+            replace(x, joint=joint)
+            for x, joint in zip(self.loops, joints[len(self.links) :], strict=True)
+        ]
+        return links, loops, numbers.get("gravity", self.gravity)
 
     def _structure_of(self, which: Which) -> tuple[Any, ...]:
         return (

@@ -1,0 +1,155 @@
+"""Names of a model's numbers, and its bodies, joints and elements with other numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from lierb.errors import ArgumentError, LierbError, brief, unknown_name
+from lierb.kernels.functions.shapes import Shape
+from lierb.kernels.mechanics.rows import parameters_of
+from lierb.model.acting import ELEMENTS
+from lierb.model.bodies.body import Body
+from lierb.model.functions.elements import Element
+from lierb.model.joints.joint import Joint
+from lierb.support.arrays import Array, as_numbers, as_poses, as_positive
+
+Numbers = Mapping[str, Array]  # by field of `Model.inputs`
+POINTS = {  # points of a joint: field of the frame of which each is the origin
+    "body_point": "body_frame",
+    "ground_point": "ground_frame",
+    "parent_point": "ground_frame",
+}
+FRAMES = ("ground_frame", "body_frame")
+OF_BODY = ("mass", "inertia", "com")
+INERTIA: tuple[Shape, ...] = (3,), (3, 3)
+
+
+class Place(NamedTuple):
+    """Place of a named number: its field in `Model.inputs`, and the shapes that it may have.
+
+    is_point : True for the origin of a frame.
+    """
+
+    field: str
+    shapes: tuple[Shape, ...]
+    is_point: bool = False
+
+
+def places_of(model: Any) -> dict[str, Place]:
+    """Return the place of each number of a model, by name."""
+    places = {"gravity": Place("gravity", ((3,),))}
+    for name, field in zip(model.link_names, model.fields, strict=True):
+        prefix = f"{name}." if name else ""
+        for own, shapes in zip(OF_BODY, (((),), INERTIA, ((3,),)), strict=True):
+            places[f"{prefix}body.{own}"] = Place(f"{field}{own}", shapes)
+    for at, field in zip(model.joints, model.joint_fields, strict=True):
+        prefix = f"{at.name}.joint." if at.name else "joint."
+        for point, frame in POINTS.items():
+            if at.name or point != "parent_point":
+                places[f"{prefix}{point}"] = Place(f"{field}{frame}", ((3,),), is_point=True)
+        places |= {f"{prefix}{frame}": Place(f"{field}{frame}", ((4, 4),)) for frame in FRAMES}
+        names = parameters_of(at.joint.rows)
+        places |= {f"{prefix}{name}": Place(f"{field}{name}", ((),)) for name in names}
+    for element, label, field in labelled(model):
+        for name, shape in element.kind.shapes.items():
+            places[f"{label}.{element.short(name)}"] = Place(f"{field}{name}", (shape,))
+    return places
+
+
+def labelled(model: Any) -> Iterator[tuple[Element, str, str]]:
+    """Yield each element with its name, that of its columns, and the prefix of its fields.
+
+    A number follows the name if several elements have it.
+    """
+    names = [".".join((*e.at[:1], e.name)) for e in model.elements]
+    of_each = zip(model.elements, names, model.element_fields, strict=True)
+    for i, (element, name, field) in enumerate(of_each):
+        number = f"_{names[:i].count(name) + 1}" if names.count(name) > 1 else ""
+        yield element, f"{name}{number}", field
+
+
+def by_field(model: Any, given: Mapping[str, Any]) -> dict[str, Array]:
+    """Return named numbers by field of `Model.inputs`, in the shapes that they have there.
+
+    Raises LierbError for names that do not exist, and for numbers of other shapes.
+    """
+    if not isinstance(given, Mapping):
+        raise ArgumentError(
+            f"numbers={brief(given)}; expected a dictionary such as {{'body.mass': 2.0}}"
+        )
+    places = places_of(model)
+    numbers: dict[str, Array] = {}
+    for name, value in given.items():
+        if name not in places:
+            raise unknown_name("numbers", name, places)
+        field, shapes, is_point = places[name]
+        if field in numbers and not is_point:
+            raise ArgumentError(f"{name} and a point of it are given; give one of them")
+        if is_point:
+            before = numbers.get(field, model.inputs[field])
+            numbers[field] = _moved(before, as_numbers(name, value, *shapes))
+        elif shapes == ((4, 4),):
+            numbers[field] = as_poses(name, value)
+        elif name.endswith("joint.length"):
+            numbers[field] = as_positive(name, value, "m")
+        else:
+            array = as_numbers(name, value, *shapes)
+            is_principal = shapes is INERTIA and array.shape[-2:] != (3, 3)
+            numbers[field] = array[..., :, None] * np.eye(3) if is_principal else array
+    return numbers
+
+
+def _moved(frame: Array, origin: Array) -> Array:
+    lead = np.broadcast_shapes(frame.shape[:-2], origin.shape[:-1])
+    moved = np.array(np.broadcast_to(frame, (*lead, 4, 4)))
+    moved[..., :3, 3] = origin
+    return moved
+
+
+# ---- parts of a model with other numbers -------------------------------------------------------
+
+
+def body_with(body: Body, numbers: Numbers, field: str, name: str = "") -> Body:
+    """Return a body with other numbers. Raises the errors of `lierb.Body`.   name : its link."""
+    own = [numbers.get(f"{field}{each}") for each in OF_BODY]
+    if all(x is None for x in own):
+        return body
+    mass, inertia, com = (
+        getattr(body, k) if x is None else x for k, x in zip(OF_BODY, own, strict=True)
+    )
+    if inertia.ndim == 2 and (mass.ndim or com.ndim > 1):
+        inertia = inertia[None]  # without it, a batch of three bodies would be ambiguous
+    try:
+        return Body(mass, inertia, com)
+    except LierbError as error:
+        raise type(error)(f"{name}: {error}" if name else str(error)) from None
+
+
+def joint_with(joint: Joint, numbers: Numbers, field: str) -> Joint:
+    """Return a joint with other frames, pitch or length."""
+    own = (*FRAMES, "pitch", "length")
+    changed: dict[str, Any] = {
+        name: numbers[f"{field}{name}"] for name in own if f"{field}{name}" in numbers
+    }
+    return replace(joint, **changed) if changed else joint
+
+
+def elements_with(model: Any, numbers: Numbers) -> dict[str, list[Element]]:
+    """Return a model's elements with other parameters, by argument of its constructor."""
+    labels = {label: len(getattr(model, label)) for label in ELEMENTS}
+    elements = iter(_element(*each, numbers) for each in labelled(model))
+    return {label: [next(elements) for _ in range(count)] for label, count in labels.items()}
+
+
+def _element(element: Element, label: str, field: str, numbers: Numbers) -> Element:
+    changed = {n: numbers[f"{field}{n}"] for n in element.kind.shapes if f"{field}{n}" in numbers}
+    if not changed:
+        return element
+    try:
+        return replace(element, parameters=element.parameters | changed).checked()
+    except LierbError as error:
+        raise type(error)(f"{label}: {error}") from None
