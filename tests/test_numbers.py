@@ -9,7 +9,7 @@ import lierb
 from lierb.errors import ArgumentError, InertiaError, UnknownNameError
 
 ROD = lierb.bodies.box((0.05, 0.05, 0.5), mass=1.0)
-HINGE = dict(axis=(0.0, 1.0, 0.0), body_point=(0.0, 0.0, 0.25))
+HINGE = {"axis": (0.0, 1.0, 0.0), "body_point": (0.0, 0.0, 0.25)}
 MASSES = np.array([1.0, 1.5, 2.0, 2.5])
 GRAVITY = (0.0, 0.0, -9.81)
 
