@@ -22,6 +22,7 @@ from lierb.model.functions.events import event
 from lierb.model.functions.observables import observable
 from lierb.model.functions.states import states
 from lierb.model.functions.turns import turns
+from lierb.model.functions.variable_mass import variable_mass
 from lierb.model.functions.wrenches import wrench
 from lierb.model.mechanism.links import Link, Loop
 from lierb.model.mechanism.mechanism import Mechanism
@@ -46,7 +47,7 @@ __all__ = [
     "animate", "animation", "baumgarte", "bodies", "clip", "constraint", "controller",
     "convergence", "errors", "event", "fit", "forces", "info", "integrate", "joints", "lie", "log",
     "noise", "observable", "predict", "propagate", "quaternion", "sampling", "states", "table",
-    "turns", "velocity_constraint", "warmup", "where", "wrench",
+    "turns", "variable_mass", "velocity_constraint", "warmup", "where", "wrench",
 ]  # fmt: skip
 
 # Public names of modules: `from lierb.joints import revolute`.

@@ -69,6 +69,11 @@ def _checked(argument: str, given: Any, kind: type[Element], joint: Joint) -> tu
                 f"{label} is on {' and '.join(element.at)}; a Problem has one body and no names: "
                 "leave .on(…) out, or make a lierb.Mechanism"
             )
+        if element.kind.adds_inertia:
+            raise ForceError(
+                f"{label}, {element.name}, adds inertia, and the equations of a Problem are those "
+                "of constant bodies; make a lierb.Mechanism, which can have one link"
+            )
         if element.kind.joints > 1:
             raise ForceError(
                 f"{label}, {element.name}, couples two joints, and a Problem has one; make a "

@@ -21,7 +21,8 @@ def as_result(name: str, value: Any, shape: Shape) -> Any:
     if shape in (ANY, (1,)):  # a number may be a vector of one
         members = np.atleast_1d(members)
     if members.shape != shape and not (shape == ANY and members.ndim == 1):
-        raise UnfitFunctionError(f"{name} must return {shape[0]} components, not {brief(value)}")
+        expected = f"{shape[0]} components" if len(shape) == 1 else "×".join(map(str, shape))
+        raise UnfitFunctionError(f"{name} must return {expected}, not {brief(value)}")
     return tuple(_number(name, x) for x in members.flat)
 
 

@@ -90,6 +90,7 @@ class Element:
     does_work : True if it can change E = T + U, U the `energy` of all elements.   is_passive : True
     if it has no effect on the motion by itself.   bounds_steps : True if adaptive steps respect the
     bounds of `travel`.   jumping : parameters that, unless zero, make the wrench jump at a place.
+    adds_inertia : True if it is inertia on a link; see `lierb.kernels.mechanics.added_inertia`.
     """
 
     needs_axis: ClassVar[bool] = False
@@ -99,6 +100,7 @@ class Element:
     is_users: ClassVar[bool] = False  # True for a user's function
     does_work: ClassVar[bool] = True
     is_passive: ClassVar[bool] = False
+    adds_inertia: ClassVar[bool] = False
     working: ClassVar[tuple[str, ...]] = ()  # parameters of forces without potential
     bounds_steps: ClassVar[bool] = False
     jumping: ClassVar[tuple[str, ...]] = ()
@@ -250,8 +252,13 @@ class UserWrench(Element):
         return total + energy.parts[0] if isinstance(energy, UserNumber) else total
 
     def jumps(self, placed: Any) -> tuple[Any, ...]:
-        given = dict(zip(self.shapes, placed[1], strict=False))  # `body` parameters come last
-        return tuple(flatten(tuple(given[name] for name in self.discontinuities)))
+        return times_of_jumps(self, placed[1])
+
+
+def times_of_jumps(element: Element, parameters: tuple[Any, ...]) -> tuple[Any, ...]:
+    """Return the parameters of a user's function that are times of possible jumps, s."""
+    given = dict(zip(element.shapes, parameters, strict=False))  # `body` parameters come last
+    return tuple(flatten(tuple(given[name] for name in element.discontinuities)))
 
 
 class UserFrame(NamedTuple):

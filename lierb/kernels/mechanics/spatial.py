@@ -126,6 +126,38 @@ class Articulated(NamedTuple):
         return Articulated(angular, moved, linear)
 
 
+class Augmented(NamedTuple):
+    """A rigid body and inertia added to it, about the origin of its frame."""
+
+    rigid: Rigid | Augmented
+    added: Articulated
+
+    @property
+    def mass(self) -> Number:
+        return self.rigid.mass
+
+    @property
+    def moment(self) -> Vec:
+        return self.rigid.moment
+
+    @property
+    def inertia(self) -> Mat:
+        return self.rigid.inertia
+
+    def momentum(self, twist: Vec, start: Vec = ZERO6) -> Vec:
+        return add(self.rigid.momentum(twist, start), self.added.momentum(twist))
+
+    def bias(self, omega: Vec) -> Vec:
+        """Return the bias wrench of the rigid body; that of the added inertia is a load."""
+        return self.rigid.bias(omega)
+
+    def needed(self, acceleration: Vec, omega: Vec) -> Vec:
+        return self.momentum(acceleration, self.bias(omega))
+
+    def from_frame(self, frame: Pose) -> Articulated:
+        return self.rigid.from_frame(frame).and_also(self.added.from_frame(frame))
+
+
 def _symmetric(entry: Callable[[int, int], Any]) -> Mat:
     """Return the symmetric matrix whose lower triangle is entry(i, j)."""
     lower = {(i, j): entry(i, j) for i in range(3) for j in range(i + 1)}

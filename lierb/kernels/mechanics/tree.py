@@ -21,7 +21,8 @@ it violates them. This solves the saddle point of M and these rows on their null
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import Any, NamedTuple
@@ -31,7 +32,7 @@ from lierb.kernels.groups import se3
 from lierb.kernels.mechanics.newton_euler import Kinematics
 from lierb.kernels.mechanics.rows import PITCHED, Rows
 from lierb.kernels.mechanics.saddle import kinds_of
-from lierb.kernels.mechanics.spatial import Pose, Rigid, twist_at
+from lierb.kernels.mechanics.spatial import Articulated, Augmented, Pose, Rigid, twist_at
 from lierb.kernels.mechanics.subgroup import Slots
 from lierb.kernels.numbers.number import Number
 from lierb.kernels.numbers.vec import (
@@ -117,7 +118,7 @@ class Connection:
 class NodeConstants(NamedTuple):
     """Hold the constants of a node, in joint axes.
 
-    rigid : mass, first moment and inertia about the joint's point.
+    rigid : mass, first moment and inertia about the joint's point, with added inertia if any.
     inertia : inertia about the centre of mass.   com : centre of mass.
     hang : H, the joint's frame on the parent, or on the ground.
     gravity : gravity in the joint's axes on the ground, for a node on the ground; else zero.
@@ -125,7 +126,7 @@ class NodeConstants(NamedTuple):
     burden : mass and approximate inertia of the node and its descendants.
     """
 
-    rigid: Rigid
+    rigid: Rigid | Augmented
     inertia: Mat
     com: Vec
     hang: Pose
@@ -262,6 +263,14 @@ class TreeMotion:
     def again(self) -> TreeMotion:
         """Return a motion of the same state, without cached values."""
         return TreeMotion(self.nodes, self.body, self._poses, self._velocities, self.time)
+
+    def with_added(self, inertias: Mapping[int, Articulated]) -> TreeMotion:
+        """Return the same motion of nodes with added inertia."""
+        motion, nodes = copy(self), list(self.body.nodes)
+        for i, added in inertias.items():
+            nodes[i] = nodes[i]._replace(rigid=Augmented(nodes[i].rigid, added))
+        motion.body = self.body._replace(nodes=tuple(nodes))
+        return motion
 
     def columns(self, i: int) -> dict[int, Vec]:
         """Return a node's twists by unit rates of free directions of its joint and ancestors'."""

@@ -5,12 +5,13 @@ from __future__ import annotations
 from functools import partial
 from typing import Any, NamedTuple
 
+from lierb.kernels.mechanics.added_inertia import Added, AddedInertia
 from lierb.kernels.mechanics.constraints import residuals
 from lierb.kernels.mechanics.rows import Row
 from lierb.kernels.mechanics.saddle import is_other_rank, kinds_of
 from lierb.kernels.mechanics.tree import GROUND, HERE, Ends, TreeConstants, TreeMotion, root_of
 from lierb.kernels.mechanics.tree_dynamics import Bodies, Solved, bodies_of, solved
-from lierb.kernels.mechanics.tree_rows import NodeRow
+from lierb.kernels.mechanics.tree_rows import NodeRow, add_loads
 from lierb.kernels.numbers.arithmetic import fma, sqrt, where
 from lierb.kernels.numbers.vec import (
     ZERO3,
@@ -24,6 +25,7 @@ from lierb.kernels.numbers.vec import (
     mat_vec_add,
     neg,
     scale,
+    sub,
 )
 from lierb.kernels.numbers.zero import ZERO
 from lierb.kernels.systems.relatives import Relatives, constrained_part, length_of, size_of
@@ -82,6 +84,9 @@ class TreeAccelerations(TreeCharts):
         plan = self.plan
         relatives = self.relatives(body, motion)
         loads, power = self._applied(body, relatives) if forces else ({}, ZERO)
+        added = self._added(body, relatives) if forces else {}
+        add_loads(loads, {i: each.load for i, each in added.items()})
+        motion = motion.with_added({i: each.inertia for i, each in added.items()})
         wanted = [self._acceleration(number, row, relatives) for number, row in self.rows]
         fall = {
             i: ZERO3 + neg(body.nodes[i].gravity)
@@ -97,6 +102,8 @@ class TreeAccelerations(TreeCharts):
         for (number, r), multiplier in zip(self.rows, solution.multipliers, strict=True):
             rate = r.prescribed_rate(relatives[number].x, body.ends[number])
             power = fma(-multiplier, rate, power)
+        for i, each in added.items():
+            power = power + each.power(solution.response.moved[i], motion.twists[i])
         rates = self._state_rates(motion, solution, damped)
         return TreeAcceleration(
             rates, power, solution.singular, solution.dropped, bodies, solution, relatives
@@ -135,15 +142,33 @@ class TreeAccelerations(TreeCharts):
         for number, (element, placed) in enumerate(
             zip(self.plan.elements, body.elements, strict=True), first
         ):
-            if element.is_passive or element.rows:
+            if element.is_passive or element.rows or element.adds_inertia:
                 continue
             x = relatives[number].x.motion._replace(signals=body.signals)
             wrench = element.wrench(placed, x)
             power = power + element.power(placed, x, wrench)
             acting = relatives.wrench(number, wrench[0] + wrench[1])
-            for i, load in acting.loads().items():
-                loads[i] = add(loads[i], load) if i in loads else load
+            add_loads(loads, acting.loads())
         return loads, power
+
+    def _added(self, body: TreeConstants, relatives: Relatives) -> dict[int, Added]:
+        """Inertia that elements add to nodes."""
+        total: dict[int, Added] = {}
+        motion, first = relatives.motion, len(self.plan.joints)
+        for number, (element, placed) in enumerate(
+            zip(self.plan.elements, body.elements, strict=True), first
+        ):
+            if not isinstance(element, AddedInertia):
+                continue
+            i = self.plan.connections[number].node
+            x = relatives[number].x.motion._replace(signals=body.signals)
+            added = element.added(placed, x)
+            if not element.has_weight:  # gravity is an acceleration of the ground
+                falling = body.nodes[root_of(self.plan.tree, i)].gravity
+                weight = added.inertia.momentum(ZERO3 + mat_t_vec(motion.place(i)[0], falling))
+                added = added._replace(load=sub(added.load, weight))
+            total[i] = total[i].and_also(added) if i in total else added
+        return total
 
     def _acceleration(self, number: int, row: Row, relatives: Relatives) -> Any:
         """Right-hand side of a row, with Baumgarte's terms."""

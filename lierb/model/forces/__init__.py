@@ -1,4 +1,4 @@
-"""Applied forces other than gravity: springs, limits, friction, drag, wrenches, motors and gears.
+"""Applied forces other than gravity: springs, stops, friction, drag, added mass, motors, gears.
 
 ::
 
@@ -12,7 +12,17 @@ Each force is a class with name, parameters and formulas, and a function of that
 Studies use the same names.
 """
 
-from lierb.model.forces import bushings, friction, gears, limits, motors, springs, wrenches
+from lierb.model.forces import (
+    added_masses,
+    bushings,
+    friction,
+    gears,
+    limits,
+    motors,
+    springs,
+    wrenches,
+)
+from lierb.model.forces.added_masses import *  # noqa: F403
 from lierb.model.forces.built_in import UNITS
 from lierb.model.forces.built_in import BuiltIn as BuiltIn
 from lierb.model.forces.bushings import *  # noqa: F403
@@ -27,6 +37,7 @@ from lierb.model.functions.wrenches import Force as Force
 
 __all__: list[str] = []
 __all__ += wrenches.__all__
+__all__ += added_masses.__all__
 __all__ += springs.__all__
 __all__ += bushings.__all__
 __all__ += friction.__all__

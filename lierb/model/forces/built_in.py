@@ -19,6 +19,8 @@ from lierb.model.functions.wrenches import Force
 from lierb.support.arrays import Array
 
 ORIGIN = (0.0, 0.0, 0.0)
+SIZE = 6  # of a matrix on twists: three axes of rotation, then of translation
+SYMMETRIC = 1e-12  # relative to the largest entry: rounding of a matrix that was turned
 
 
 class Parameter(NamedTuple):
@@ -97,3 +99,34 @@ def inverse_norm(a: Vec) -> Any:
 def unit_force_at(point: Vec, direction: Vec) -> Vec:
     """Torque and force of a unit force at a point."""
     return cross(point, direction) + direction
+
+
+# ---- matrices on twists ------------------------------------------------------------------------
+
+
+def is_six_by_six(array: Array) -> bool:
+    return bool(array.shape[-2:] == (SIZE, SIZE))
+
+
+def as_six_by_six(array: Array) -> Array:
+    """Return a diagonal matrix of numbers by axis; a matrix itself."""
+    is_by_axis = array.shape[-1:] == (SIZE,) and not is_six_by_six(array)
+    return array[..., None] * np.eye(SIZE) if is_by_axis else array
+
+
+def require_semidefinite(name: str, array: Array, is_matrix: bool) -> None:
+    """Raise ArgumentError for negative numbers by axis, or negative or asymmetric matrices."""
+    items = array.reshape(-1, *array.shape[-1 - is_matrix :])
+    for body, item in enumerate(items):
+        label = body_label(name, body, len(items))
+        size = np.abs(item).max()
+        if not is_matrix:
+            if (item < 0.0).any():
+                raise ArgumentError(f"{label} is {item.tolist()}; expected no negative number")
+        elif np.abs(item - item.T).max() > SYMMETRIC * size:
+            raise ArgumentError(
+                f"{label} is not symmetric; a shape that ends with (6, 6) is a matrix, so that six "
+                "bodies with numbers by axis need matrices too"
+            )
+        elif np.linalg.eigvalsh(item).min() < -SYMMETRIC * size:
+            raise ArgumentError(f"{label} has a negative eigenvalue; expected none")

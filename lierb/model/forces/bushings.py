@@ -5,10 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, ClassVar
 
-import numpy as np
 from numpy.typing import ArrayLike
 
-from lierb.errors import ArgumentError, body_label
 from lierb.kernels.groups import so3
 from lierb.kernels.mechanics.elements import Tangent, Wrench
 from lierb.kernels.mechanics.newton_euler import Frames, Motion
@@ -31,8 +29,12 @@ from lierb.model.forces.built_in import (
     BODY_POINT,
     GROUND_POINT,
     ORIGIN,
+    SIZE,
     BuiltIn,
     Parameter,
+    as_six_by_six,
+    is_six_by_six,
+    require_semidefinite,
     unit_force_at,
 )
 from lierb.model.functions.wrenches import Force
@@ -40,8 +42,6 @@ from lierb.support.arrays import Array, as_floats, check_rotations
 
 __all__ = ["bushing"]
 
-SIZE = 6  # rotations about three axes, displacements along them
-SYMMETRIC = 1e-12  # relative to the largest entry: rounding of a matrix that was turned
 PARALLEL = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 _FRAMES = {
     "body_point": BODY_POINT,
@@ -66,7 +66,7 @@ class Bushing(BuiltIn):
 
     def require_fit(self, parameters: Mapping[str, Array]) -> None:
         for name in ("stiffness", "damping"):
-            _check_gain(name, parameters[name], len(self.shapes[name]) == 2)
+            require_semidefinite(name, parameters[name], len(self.shapes[name]) == 2)
         for name in ("axes", "rotation"):
             check_rotations(name, parameters[name])
 
@@ -206,38 +206,10 @@ def bushing(
     """
     given = {"stiffness": stiffness, "damping": damping}
     gains = {name: as_floats(name, gain) for name, gain in given.items()}
-    coupled = any(map(_is_matrix, gains.values()))
+    coupled = any(map(is_six_by_six, gains.values()))
     if coupled:
-        gains = {name: _as_matrix(gain) for name, gain in gains.items()}
+        gains = {name: as_six_by_six(gain) for name, gain in gains.items()}
     kind = CoupledBushing() if coupled else Bushing()
     return kind.force(
         body_point=body_point, ground_point=ground_point, axes=axes, rotation=rotation, **gains
     )
-
-
-def _is_matrix(gain: Any) -> bool:
-    return bool(gain.shape[-2:] == (SIZE, SIZE))
-
-
-def _as_matrix(gain: Any) -> Any:
-    """Return a diagonal matrix of numbers by axis; a matrix itself."""
-    is_by_axis = gain.shape[-1:] == (SIZE,) and not _is_matrix(gain)
-    return gain[..., None] * np.eye(SIZE) if is_by_axis else gain
-
-
-def _check_gain(name: str, gain: Any, is_matrix: bool) -> None:
-    """Raise ArgumentError for a negative number, or a matrix that is no stiffness."""
-    items = gain.reshape(-1, *gain.shape[-1 - is_matrix :])
-    for body, item in enumerate(items):
-        label = body_label(name, body, len(items))
-        size = np.abs(item).max()
-        if not is_matrix:
-            if (item < 0.0).any():
-                raise ArgumentError(f"{label} is {item.tolist()}; expected no negative number")
-        elif np.abs(item - item.T).max() > SYMMETRIC * size:
-            raise ArgumentError(
-                f"{label} is not symmetric; a shape that ends with (6, 6) is a matrix, so that six "
-                "bodies with numbers by axis need matrices too"
-            )
-        elif np.linalg.eigvalsh(item).min() < -SYMMETRIC * size:
-            raise ArgumentError(f"{label} has a negative eigenvalue; expected none")

@@ -40,6 +40,7 @@ class Element:
     made_by: Decorated | None = None
     at: tuple[str, ...] = ()
     words: ClassVar[tuple[str, str]] = "an element", "elements"  # singular and plural of its kind
+    because: ClassVar[str | None] = None  # reason why its function must be traced
 
     @classmethod
     def of(cls, name: str, kind: kinds.Element, values: Mapping[str, Any], **fields: Any) -> Self:
@@ -138,7 +139,7 @@ class Element:
                 return self
             python = traceable(self.made_by.function)
             seeing_them = replace(seeing_them, is_traced=True, python=python)
-        return self.of_kind(function=runnable(seeing_them, self.made_by.function))
+        return self.of_kind(function=runnable(seeing_them, self.made_by.function, self.because))
 
     def of_kind(self, **changed: Any) -> Self:
         """Copy of the element with changed fields of its kernel element."""

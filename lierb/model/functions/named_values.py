@@ -10,7 +10,7 @@ import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from keyword import iskeyword
-from typing import Any, ClassVar, Self
+from typing import Any, Self
 
 from lierb.errors import ArgumentError, brief, unknown_name
 from lierb.kernels.functions.shapes import Shapes
@@ -30,7 +30,6 @@ class NamedValues(Element):
 
     kind: Any
     units: Mapping[str, str] = field(default_factory=dict)
-    because: ClassVar[str]  # reason why the function must be traced
 
     @property
     def columns(self) -> Shapes:

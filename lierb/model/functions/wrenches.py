@@ -25,10 +25,8 @@ class Force(Element):
 WRENCH: tuple[Shape, ...] = ((3,), (3,))
 
 
-class Wrench(Decorated):
-    """A function decorated by `lierb.wrench` returns torque and force on a body."""
-
-    _potential: UserFunction | None = None
+class JumpingFunction(Decorated):
+    """Decorated function with parameters that are times of possible jumps."""
 
     def __init__(self, function: UserFunction, defaults: dict[str, Any]) -> None:
         names = defaults.pop("discontinuities", ())
@@ -37,6 +35,12 @@ class Wrench(Decorated):
             if name not in defaults:
                 raise unknown_name("discontinuities", name, defaults)
         super().__init__(function, defaults)
+
+
+class Wrench(JumpingFunction):
+    """A function decorated by `lierb.wrench` returns torque and force on a body."""
+
+    _potential: UserFunction | None = None
 
     def __call__(self, **parameters: ArrayLike) -> Force:
         """Make the force with these parameters, one value for all bodies or one for each."""

@@ -138,6 +138,7 @@ def why_unrolled(plan: MechanismPlan) -> str:
         "joints whose motions are no group": any(node.rows for node in plan.tree),
         "functions that are called body by body": plan.calls_functions,
         "functions of accelerations": any(e.feels for e in plan.elements),
+        "added inertia": any(e.adds_inertia for e in plan.elements),
         "gears": any(e.joints > 1 for e in plan.elements),
         f'update="{plan.update}"': plan.update != "local",
         "this method": not plan.is_explicit or plan.has_exponentials,

@@ -246,10 +246,10 @@ class Tree(Model):
             element = replace(element, at=self.names)
         if element.kind.needs_axis:
             return self._on_joint(label, element)
-        if len(element.at) > 1 and element.kind.feels:
+        if len(element.at) > 1 and (element.kind.feels or element.kind.adds_inertia):
             raise ForceError(
-                f"{label}, {element.name}, takes accelerations, which are relative to the ground, "
-                f"but is on two links; place it by .on({element.at[0]!r})"
+                f"{label}, {element.name}, depends on accelerations, which are relative to the "
+                f"ground, but is on two links; place it by .on({element.at[0]!r})"
             )
         others = [x for x in (*self.names, GROUND) if x != element.at[0]]
         for name, known in zip(element.at, (self.names, others), strict=False):

@@ -28,7 +28,7 @@ from lierb.model.functions.decorated import Decorated
 from lierb.model.functions.events import EventFunction
 from lierb.model.functions.observables import ObservableFunction
 from lierb.model.functions.states import StatesFunction
-from lierb.model.functions.wrenches import Wrench
+from lierb.model.functions.wrenches import JumpingFunction
 from lierb.studies.description.sources import LONGEST_STUDY
 from lierb.support.files import reason
 
@@ -37,7 +37,7 @@ FILE = r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,95}\.py"
 PATTERN = rf"^{PREFIX}{FILE}:[A-Za-z_][A-Za-z0-9_]{{0,99}}$"
 EXPECTED = '"python:FILE.py:NAME", FILE.py beside the study and NAME a function in it'
 KINDS: dict[str, tuple[type[Decorated], str]] = {
-    "forces": (Wrench, "wrench"),
+    "forces": (JumpingFunction, "wrench or @lierb.variable_mass"),
     "constraints": (ConstraintFunction, "constraint"),
     "observables": (ObservableFunction, "observable"),
     "events": (EventFunction, "event"),

@@ -89,7 +89,10 @@ class ColumnSection(ElementSection):
 
 
 class ForceSection(ElementSection):
-    """Force of `lierb.forces`, or a function with `@lierb.wrench` in a file beside the study."""
+    """Force of `lierb.forces`, or a function in a file beside the study.
+
+    The function has `@lierb.wrench` or `@lierb.variable_mass` before it.
+    """
 
     table = "forces"
     type: Annotated[str, AfterValidator(_type_of_force), WithJsonSchema(OF_FORCE)]
