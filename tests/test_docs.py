@@ -29,6 +29,10 @@ KERNELS = (
     "control",
     "output",
     "derivatives",
+    "fitting",
+    "from_scipy",
+    "from_mujoco",
+    "install",
 )  # have some of their own
 QUICK = [page for page in PAGES if page.stem not in KERNELS]
 
