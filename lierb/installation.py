@@ -21,6 +21,7 @@ from lierb.compiler.internals import cache_of
 from lierb.errors import ArgumentError, brief, items_of, require_name
 from lierb.kernels.groups.lie_functions import apply
 from lierb.kernels.loops.blocks import integrate_blocks
+from lierb.kernels.loops.lanes import integrate_lanes
 from lierb.kernels.mechanics.rows import parameters_of
 from lierb.kernels.tracing.cpu import CPU_FEATURES, DEFAULT_LANES, HAS_FMA
 from lierb.methods import Method, method_named
@@ -69,15 +70,14 @@ def info() -> dict[str, Any]:
 
 
 def _cache() -> dict[str, Any]:
-    """Describe the disk cache: its folder, and number and size of this version's kernels."""
+    """Describe the disk cache: its folder, the number of this version's kernels, its size."""
     if numba.config.DISABLE_JIT:
         return {"folder": None, "kernels": 0, "bytes": 0, "most_bytes": 0}
-    caches: list[DiskCache] = [cache_of(integrate_blocks), cache_of(apply)]
-    kernels = dict(sized(path for each in caches for path in each.entries()))
+    caches: list[DiskCache] = [cache_of(f) for f in (integrate_blocks, integrate_lanes, apply)]
     return {
         "folder": caches[0].cache_path,
-        "kernels": len(kernels),
-        "bytes": sum(kernels.values()),
+        "kernels": sum(1 for each in caches for _ in sized(each.entries())),
+        "bytes": sum(disk_cache.compiled().values()),
         "most_bytes": MOST_BYTES,
     }
 

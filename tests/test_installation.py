@@ -110,6 +110,19 @@ def test_warmup_spares_another_process_the_compile_and_info_counts_it(tmp_path):
     assert not list(tmp_path.rglob("*.nbc"))
 
 
+@pytest.mark.long
+def test_info_counts_kernels_of_adaptive_steps(tmp_path):
+    program = """
+import lierb
+top = lierb.Problem(lierb.Body(1.0, (1.0, 1.0, 1.0)), lierb.joints.free())
+lierb.integrate(top, rtol=1e-3, t_end=0.1)
+print(lierb.info()["cache"]["kernels"], lierb.info()["cache"]["bytes"])
+"""
+    count, size = map(int, run(program, tmp_path))
+    assert count == 1
+    assert size == sum(path.stat().st_size for path in tmp_path.rglob("*.nbc"))
+
+
 def test_info_is_plain_and_complete():
     found = json.loads(json.dumps(lierb.info()))
     assert found["lierb"] == lierb.__version__

@@ -149,6 +149,11 @@ def clear() -> dict[Path, int]:
     return there
 
 
+def compiled() -> dict[Path, int]:
+    """Return the files of this version's compiled code, with their sizes."""
+    return dict(sized(path for each in _caches for path in each.entries()))
+
+
 def sized(paths: Iterable[Path]) -> Iterator[tuple[Path, int]]:
     """Yield the existing files and their sizes in bytes."""
     for path in paths:

@@ -14,7 +14,7 @@ EXTRAS = {
     "cli": ("The command line", ("click", "rich")),
     "mesh": ("Making a body of a mesh", ("trimesh",)),
     "mjcf": ("Reading MJCF and URDF", ("mujoco",)),
-    "scipy": ("Drawing from normal distributions, or by Sobol points,", ("scipy",)),
+    "scipy": ("Fitting, or drawing from normal distributions or by Sobol points,", ("scipy",)),
     "plot": ("Drawing figures", ("matplotlib",)),
     "pandas": ("A pandas data frame", ("pandas",)),
     "polars": ("A polars data frame", ("polars",)),
