@@ -103,7 +103,7 @@ def test_a_pendulum_feels_gravity_and_its_swing(cspace):
     "held",
     ["spherical", *(pytest.param(name, marks=pytest.mark.long) for name in ("planar", "fixed"))],
 )
-@pytest.mark.slow
+@pytest.mark.long
 def test_one_body_and_a_mechanism_of_it_feel_the_same(held):
     """Right: another formulation; this one has principal axes and joint points of its own."""
     joint = getattr(lierb.joints, held)(body_point=(0.1, 0.0, 0.2))
@@ -169,7 +169,7 @@ def test_c56_a_tip_reads_what_scipy_says():
     np.testing.assert_allclose(force[:, 2], 0.0, atol=1e-12)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("cspace", ["reduced", pytest.param("SE3", marks=pytest.mark.long)])
 def test_readings_are_derivatives_of_the_velocities(cspace):
     """A driven four-bar with a loop. Right: differences of v and ω over 20 µs, of second order."""

@@ -96,7 +96,7 @@ def test_body_moves_as_newton_and_euler_say(stiffness):
     assert row["energy_drift_max"] < 1e-8
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_turn_about_one_axis_is_a_damped_oscillation():
     """φ¨ + 2ζω₀ φ˙ + ω₀² φ = 0, exactly, to any angle below half a turn."""
     stiffness, damping, inertia = 12.0, 0.6, 0.25

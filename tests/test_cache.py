@@ -234,7 +234,7 @@ def test_edit_after_the_import_does_not_poison_the_cache(copy):
     assert old["compiled"] == new["compiled"] == 1
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_process_of_the_old_source_keeps_its_code_to_itself(copy):
     process = copy.start(BRACKET + "bracket()\ninput()\nbracket('se3')")
     assert json.loads(process.stdout.readline())["z"] == 1.0
@@ -285,7 +285,7 @@ print(json.dumps({"lanes": told, "columns": columns}))
 """
 
 
-@pytest.mark.slow  # two processes that compile; other widths: test_bits_do_not_depend_on_lanes
+@pytest.mark.long  # two processes that compile; other widths: test_bits_do_not_depend_on_lanes
 def test_lierb_lanes_sets_the_width_and_changes_no_bit(copy):
     runs = {lanes: copy.run(BATCH, LIERB_LANES=str(lanes)) for lanes in (1, 4)}
     for lanes, told in runs.items():

@@ -138,7 +138,7 @@ def test_killed_workers_cost_their_parts_only(tmp_path):
     assert hashes(out) == hashes(tmp_path / "alone")
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_part_that_kills_its_workers_is_named(tmp_path, monkeypatch):
     monkeypatch.setattr(cluster, "_run_part", _dies)
     with (
@@ -174,7 +174,7 @@ def test_workers_without_lierb_are_told(client, tmp_path, monkeypatch):
         lierb.run(study(), tmp_path, client=client)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_lost_cluster_leaves_what_is_finished(alone, tmp_path):
     with cluster.local_client(1) as client:
 
@@ -191,7 +191,7 @@ def test_a_lost_cluster_leaves_what_is_finished(alone, tmp_path):
     assert hashes(tmp_path) == hashes(alone)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_workers_that_are_gone_are_not_waited_for_for_ever(tmp_path, monkeypatch):
     monkeypatch.setattr(cluster, "LOST_SECONDS", 1.0)
     with cluster.local_client(1) as client:
@@ -277,7 +277,7 @@ with cluster.client_of(sys.argv[1]) as client:
 """
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("sign", long_but([signal.SIGKILL, signal.SIGSTOP], signal.SIGSTOP))
 def test_a_scheduler_that_dies_or_falls_silent_is_told_in_one_sentence(sign, tmp_path):
     """No other output: distributed's logs and its unawaited tasks are suppressed."""

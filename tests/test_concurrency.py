@@ -15,6 +15,7 @@ from pathlib import Path
 import numba
 import numpy as np
 import pytest
+from cases import tiered
 
 import lierb
 from lierb.errors import ForkError
@@ -375,9 +376,11 @@ def assert_clear(done):
 
 @needs_fork
 @pytest.mark.slow  # each starts Python, Numba and a child: 2 s
-@pytest.mark.parametrize("script", FORKS.values(), ids=FORKS)
-def test_fork_gives_a_clear_error_or_a_run(script):
-    assert_clear(run_script(script))
+@pytest.mark.parametrize(
+    "name", tiered(FORKS, (), ("after a run", "before any run", "while another thread compiles"))
+)
+def test_fork_gives_a_clear_error_or_a_run(name):
+    assert_clear(run_script(FORKS[name]))
 
 
 EVERY_LAYER = pytest.mark.parametrize("layer", ["omp", "tbb", "workqueue"])

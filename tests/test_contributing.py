@@ -123,7 +123,7 @@ def test_diffs_add_what_they_say(copy):
     run(copy, "-c", SCRIPT)
 
 
-@pytest.mark.slow  # collects the tests over the catalogues
+@pytest.mark.long  # collects the tests over the catalogues
 def test_tests_over_the_catalogues_take_what_the_diffs_add(copy):
     """Run the tests that compile no kernel, of the additions and of whole catalogues."""
     files = [f"tests/{name}.py" for name in CATALOGUES]

@@ -17,6 +17,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+from cases import long_but
 from command import invoke
 from studies import TEXT, hashes, study
 
@@ -598,7 +599,7 @@ def test_names_that_are_no_text(tmp_path, monkeypatch):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("way", ["-", "/dev/stdin", "pipe"])
+@pytest.mark.parametrize("way", long_but(["-", "/dev/stdin", "pipe"], "-"))
 @pytest.mark.skipif(os.name == "nt", reason="no such names there")
 def test_a_study_from_a_pipe(way, whole, tmp_path):
     """`lierb run -`, `lierb run <(lierb example heavy_top)`: there is one chance to read it."""

@@ -117,7 +117,7 @@ def test_a_planetary_gear_has_the_ratio_of_willis():
     assert abs(summed(result, "energy_drift_max")[0]) < 1e-9  # of RK4, 70 rad
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_differential_shares_torque():
     """Bevel gears, axes across each other. Right: two decoupled modes, of cage and spider."""
     side, cage, cross, across = 0.02, 0.05, 0.003, 0.006
@@ -192,7 +192,7 @@ OPTIONS = {
 }
 
 
-SLOW = ["SE3", "projected"]
+SLOW = ["SE3"]
 
 
 @pytest.mark.parametrize("options", tiered(OPTIONS, ["reduced"], SLOW))

@@ -42,7 +42,7 @@ OPTIONS = {
 }
 
 
-SLOW = ["projected", "Rosenbrock"]
+SLOW = ["projected"]
 
 
 @pytest.mark.parametrize("options", tiered(OPTIONS, ["fixed"], SLOW))

@@ -62,7 +62,7 @@ def test_warmup_takes_one_name_for_a_list_of_one():
     assert (kernel.joint, kernel.method, kernel.cspace) == ("spherical", "Euler", "reduced")
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_warmup_knows_the_kernel_of_all_trees():
     joints = [lierb.joints.revolute(), lierb.joints.universal(parent_point=(0.0, 0.0, 0.1))]
     names = ("upper", "lower")

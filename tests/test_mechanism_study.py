@@ -307,7 +307,7 @@ def test_manifest_says_the_mechanism(whole):
     assert told["forces"][0]["on"] == ["rocker"]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_replay_of_a_mechanism_has_the_studys_row(whole):
     ((_, tables),) = replay(whole / "study.toml", 23)
     (row,) = tables["summary"].to_pylist()
@@ -315,7 +315,7 @@ def test_replay_of_a_mechanism_has_the_studys_row(whole):
     assert {"pin.reaction", "pin.lambda", "crank.position"} <= {*tables["history"].column_names}
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_workers_give_the_same_bytes_of_mechanisms(whole, tmp_path):
     from lierb.studies.execution.cluster import local_client
 

@@ -330,7 +330,7 @@ def narrow_event(t, r):
     return np.float32(0.3) if t < 0.3 else np.float32(-0.5)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_numbers_of_half_the_bits_are_numbers(free):
     """Values as NumPy has them; where a function branches, or calls np.float32, body by body."""
     with pytest.warns(ScalarFunctionWarning):

@@ -66,7 +66,7 @@ def test_ranking_refuses_what_is_no_column_of_numbers(name):
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("blank_pictures")
-@pytest.mark.parametrize("rank_by", [None, "-height_mean"])
+@pytest.mark.parametrize("rank_by", [None, pytest.param("-height_mean", marks=pytest.mark.long)])
 def test_report_lists_and_animates_the_worst(dataset, tmp_path, rank_by):
     pytest.importorskip("plotly")
     from lierb.studies.pages.replays import chosen, description_of

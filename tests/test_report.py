@@ -12,6 +12,7 @@ import warnings
 from html.parser import HTMLParser
 
 import pytest
+from cases import tiered
 from click.testing import CliRunner
 from studies import PARTS, TEXT, sorted_rows, study
 
@@ -254,12 +255,13 @@ HARD = {  # what a study may find, and its figures
     },
     "names that no font has": {"sample": {"n": 3}, "integrate": {"dt": 1e-3}},
 }  # fmt: skip
+LONG = ("names that no font has", "no error at all", "all failed, one dt")
 APPLICABLE = {"all failed": 4, "one body, one step": 3, "no error at all": 4}
 
 
 @pytest.fixture(
     scope="module",
-    params=[pytest.param(n, marks=pytest.mark.long) if n.startswith("names") else n for n in HARD],
+    params=tiered(HARD, {*HARD} - {*LONG}, ()),
 )
 def hard(request, tmp_path_factory):
     given = study(**HARD[request.param])

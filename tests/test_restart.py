@@ -203,8 +203,8 @@ def braked(**changed) -> tuple[lierb.Problem, np.ndarray]:
 OWN = ("turned", "torque")
 CLOCKS = [
     {"dt": 0.0625},  # ends at every tick of itself
-    {"dt": 0.1},  # is cut short by ticks
-    {"rtol": 1e-4, "method": "BS32"},
+    pytest.param({"dt": 0.1}, marks=pytest.mark.long),  # is cut short by ticks
+    pytest.param({"rtol": 1e-4, "method": "BS32"}, marks=pytest.mark.long),
 ]
 
 

@@ -17,6 +17,7 @@ from cases import (
     final,
     in_python,
     integrate,
+    long_but,
     tilted,
     top,
 )
@@ -141,7 +142,7 @@ DAMPED = {"Verlet": 2, "Verlet4": 3, "RATTLie": 2, "alpha3": 2}
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", DAMPED)
+@pytest.mark.parametrize("name", long_but(DAMPED, "Verlet", "alpha3"))
 def test_forces_that_depend_on_velocity_and_time_have_the_order_documented(name):
     problem, twist0 = box_top()
 
@@ -248,7 +249,10 @@ def bowl(R, r):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("name", "cspace"), [("RATTLie", "SE3"), ("alpha2", "SO3xR3")])
+@pytest.mark.parametrize(
+    ("name", "cspace"),
+    [("RATTLie", "SE3"), pytest.param("alpha2", "SO3xR3", marks=pytest.mark.long)],
+)
 def test_constraints_of_a_users_hold_and_have_the_order(name, cspace):
     """A bead in a bowl, with an axis kept horizontal; DOP853 solves the saddle point."""
     bead = lierb.Problem(box(), lierb.joints.free(), GRAVITY, constraints=bowl())
@@ -285,7 +289,7 @@ def test_rows_that_say_a_thing_twice_are_singular():
     assert run.summary["status"].to_pylist() == ["singular"]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_convergence_compares_the_families():
     problem, twist0 = box_top()
     names = ("Verlet", "RATTLie", "alpha2")

@@ -861,7 +861,7 @@ def cells_of(shown: str) -> dict[tuple[str, ...], list[str]]:
     return found
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_errors_that_a_joint_has_no_rows_for_are_dashes(whole, tmp_path):
     """A spherical joint restricts no rotation; on SE(3) it keeps its point, and that is a 0."""
     shown = cells_of(succeed("show", whole))

@@ -161,7 +161,7 @@ def test_resume_does_what_is_missing(whole, folder, tmp_path):
 @pytest.mark.parametrize(
     "gather", [False, pytest.param(True, marks=pytest.mark.long)], ids=["shared", "gather"]
 )
-@pytest.mark.slow
+@pytest.mark.long
 def test_workers_have_the_file_and_give_the_same_bytes(gather, whole, folder, tmp_path):
     pytest.importorskip("distributed")
     with cluster.local_client(2) as client:
@@ -175,7 +175,7 @@ def entered(out) -> int:
     return len(json.loads(manifest.read_text()).get("parts", {})) if manifest.exists() else 0
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.skipif(os.name != "posix", reason="kills as POSIX does")
 def test_a_run_that_was_killed_goes_on_to_the_same_bytes(tmp_path):
     folder, out = written(tmp_path / "study", MANY), tmp_path / "out"

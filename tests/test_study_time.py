@@ -245,7 +245,7 @@ def test_noise_is_drawn_by_seed_and_number(tmp_path):
     np.testing.assert_allclose(spread, expected, rtol=0, atol=0.2 * np.abs(expected).max())
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(
     "gather", [pytest.param(False, marks=pytest.mark.long), True], ids=["shared", "gather"]
 )
@@ -291,7 +291,7 @@ def require_going_on(tmp_path: Path, whole: dict[str, str]) -> None:
     assert hashes(tmp_path / "out") == whole
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_ctrl_c_leaves_a_folder_that_goes_on(long_whole, tmp_path, interruptible):
     process = started(tmp_path)
     process.send_signal(signal.SIGINT)
@@ -299,7 +299,7 @@ def test_ctrl_c_leaves_a_folder_that_goes_on(long_whole, tmp_path, interruptible
     require_going_on(tmp_path, long_whole)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.skipif(os.name != "posix", reason="kills as POSIX does")
 @pytest.mark.parametrize(
     "sent", [pytest.param(signal.SIGTERM, marks=pytest.mark.long), signal.SIGKILL]
@@ -434,7 +434,7 @@ def test_the_example_is_what_it_names(tmp_path):
     assert 10 < saturated.bodies < 300
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_compare_runs_an_adaptive_study(tmp_path):
     """Comparison with the study's tolerances and noise, without the settings that it lists."""
     file, out = written(tmp_path / "study"), tmp_path / "out"

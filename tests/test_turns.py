@@ -38,7 +38,7 @@ ADAPTIVE = {"rtol": 1e-10, "method": "DOP853"}
     [
         {"dt": 1e-3},
         pytest.param(ADAPTIVE, marks=pytest.mark.long),
-        pytest.param({"rtol": 1e-10, "method": "Rodas5P"}, marks=pytest.mark.slow),
+        pytest.param({"rtol": 1e-10, "method": "Rodas5P"}, marks=pytest.mark.long),
     ],
     ids=["fixed", "adaptive", "Rosenbrock"],
 )

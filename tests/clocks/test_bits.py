@@ -107,7 +107,7 @@ def test_bits_of_adaptive_steps_do_not_depend_on_sharing_of_parameters(expected)
     np.testing.assert_array_equal(bits(run(problem=top_problem(len(TWISTS)))), expected)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_bits_of_adaptive_steps_do_not_depend_on_events_that_do_not_fire(expected):
     result = run(events=[far_away()])
     np.testing.assert_array_equal(bits(result), expected)
@@ -159,7 +159,7 @@ def test_a_lane_that_fails_leaves_its_neighbours_alone(whole, expected):
     np.testing.assert_array_equal(bits(result)[fine], expected[fine])
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(
     "form",
     [
@@ -213,7 +213,7 @@ def test_bits_of_adaptive_mechanisms_do_not_depend_on_neighbours():
 # ---- fixed steps by the same driver ------------------------------------------------------------
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_fixed_steps_with_output_between_them_end_at_the_bits_of_those_without():
     options = {"rtol": None, "dt": 1e-3, "t_end": 0.1}
     plain = run(TWISTS[:33], **options)
@@ -223,7 +223,7 @@ def test_fixed_steps_with_output_between_them_end_at_the_bits_of_those_without()
     np.testing.assert_array_equal(*seen)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.filterwarnings("ignore::lierb.errors.ScalarFunctionWarning")
 def test_marks_of_functions_that_raise_are_of_ends_alone(monkeypatch):
     """Stale memory is no exception: calls end while trajectories still run."""

@@ -291,7 +291,7 @@ def levels(periods, **clock):
     return np.array([summary[f"level_{how}"].to_numpy() for how in ("min", "max", "mean", "final")])
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("clock", [
     {"rtol": 1e-6}, {"dt": 0.1}, {"dt": 0.05, "measure_every": 7},
 ], ids=str)  # fmt: skip
@@ -383,7 +383,7 @@ def drawn():
     return np.concatenate(parts, axis=1).reshape(100, 200, 4)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_no_draw_comes_twice(drawn):
     """Noise depends on trajectory, name, tick and component: 80 000 doubles are all different."""
     assert len(np.unique(drawn)) == drawn.size

@@ -114,6 +114,7 @@ def test_pose_between_steps_is_on_the_group(method):
                                atol=2e-14)  # fmt: skip
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("solver", ["auto", pytest.param("saddle", marks=pytest.mark.long)])
 @pytest.mark.parametrize("name", tiered(SUBGROUP_JOINTS, [], ["spherical", "screw"]))
 def test_pose_between_steps_is_on_the_subgroup(name, solver):

@@ -124,7 +124,7 @@ def test_observables_and_events_see_states():
     np.testing.assert_allclose(rows_of(result.events, "filtered"), [0.5], atol=1e-12)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_state_ends_with_its_trajectory():
     @lierb.states(age=0.0)
     def clock():

@@ -90,7 +90,7 @@ def allowed(kind, rtol):
             pytest.param(*case, marks=pytest.mark.long)
             for case in (("body by body", "Tsit5"), ("joint_limit", "Tsit5"))
         ),
-        pytest.param("traced", "DOP853", marks=pytest.mark.slow),
+        pytest.param("traced", "DOP853", marks=pytest.mark.long),
     ],
 )
 def test_integrate_meets_every_stop(kind, method):
@@ -227,7 +227,7 @@ def tooth(R, params):
     return np.sin(params.teeth * np.arctan2(R[1, 0], R[0, 0]))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_integrate_counts_every_turn_of_a_free_rotor():
     """5 rad/s for 100 s are 79.6 turns; found were 6 of 79 crossings at rtol 1e-6, 4 at 1e-9."""
     problem = rotor(events=(upright(), tooth()))
@@ -267,7 +267,7 @@ def gained(result) -> np.ndarray:
     "steps",
     [
         {"rtol": 1e-3}, {"rtol": 1e-9},
-        pytest.param({"dt": 0.1, "method": "DOP853"}, marks=pytest.mark.slow),
+        pytest.param({"dt": 0.1, "method": "DOP853"}, marks=pytest.mark.long),
     ],
 )  # fmt: skip
 def test_discontinuities_are_met_by_steps(steps):

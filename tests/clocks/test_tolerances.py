@@ -116,7 +116,7 @@ def test_a_mechanism_keeps_the_tolerance():
 # ---- atol, by block ----------------------------------------------------------------------------
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_atol_alone_is_what_counts_where_nothing_moves():
     """A body at rest under no force: one step, whatever its length."""
     problem = lierb.Problem(lierb.Body(1.0, (1.0, 1.0, 1.0)), lierb.joints.free())
@@ -131,7 +131,7 @@ def trap(t, R, r, omega, v, body):
     return np.zeros(3), -body.mass * (R.T @ r)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("cspace", ["SO3xR3", pytest.param("SE3", marks=pytest.mark.long)])
 def test_nothing_is_small_in_itself(cspace):
     """A ball as large as it swings, in kilometres and in picometres: the same steps, and errors."""
@@ -157,7 +157,7 @@ def levitating(t, R, r, omega, v, body):
     return np.zeros(3), body.mass * (R.T @ np.array([0.0, 0.0, 9.81]))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(("radius", "rtol"), [(1e-2, 1e-12), (1e-6, 1e-6), (1e-6, 1e-11)])
 def test_what_rounding_leaves_of_weight_costs_no_steps(radius, rtol):
     """A ball that is held up, and turns: what is left of both forces is more than its own size."""

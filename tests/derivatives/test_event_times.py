@@ -100,7 +100,7 @@ def test_states_at_terminal_events_change_with_the_end_time():
         assert np.abs(rates[:3]).max() < 1e-10
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_time_at_which_a_run_ends_is_its_own_derivative():
     result = thrown(events=bell(), with_respect_to=("bell.at", "twist0"))
     assert abs(result.sensitivity("t", "bell.at")[0, 0] - 1.0) < 1e-14

@@ -228,7 +228,7 @@ def test_a_gyro_of_a_tumbling_body_tells_ratios_of_the_inertia_but_no_scale():
     assert fit.problem.body.inertia[0, 1] == estimate[3]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_two_springs_in_parallel_are_told_in_sum_only():
     hinge = lierb.joints.revolute(axis=(0.0, 1.0, 0.0), body_point=(0.0, 0.0, 0.5))
     body = lierb.bodies.box((0.1, 0.1, 1.0), mass=1.0)

@@ -253,6 +253,7 @@ def test_failed_trajectories_have_no_derivatives():
     assert np.isnan(summary[1]).all()
 
 
+@pytest.mark.long
 def test_results_with_derivatives_are_pickled_and_described():
     result = spun(with_respect_to=["omega0", "gravity"])
     again = pickle.loads(pickle.dumps(result))
@@ -268,7 +269,7 @@ def test_progress_is_that_of_all_runs_together():
     assert seen[-1] == (20, 20)  # ten steps for the three directions of each
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_warnings_of_a_start_point_to_the_callers_line():
     problem, twist = top()
     off = twist + np.array((0.0, 0.0, 0.0, 0.0, 0.0, 0.1))

@@ -270,7 +270,7 @@ def test_directions_of_a_start_stay_on_joints_and_loops():
     assert np.abs(result.sensitivity("crank.pose", "pin.joint.body_point")).max() > 0.1
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_mechanism_of_a_batch_has_the_derivatives_that_it_has_alone():
     names = ("lower.twist0", "upper.pose0", "lower.joint.body_point", "lower.body.mass")
     hinges = {
@@ -323,7 +323,7 @@ def geared(ratio=-1.5, rate=0.7, reach=0.1) -> lierb.Mechanism:
     )  # fmt: skip
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_gears_given_motions_and_constraints_on_velocities_have_derivatives():
     """Right: central differences of 1e-5, whose truncation is 1e-10 of the third derivative."""
     mechanism = geared()

@@ -75,7 +75,7 @@ def test_values_of_a_run_with_derivatives_keep_their_bits(options):
     assert np.array_equal(*(numbers_of(summary) for summary in ends))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_direction_does_not_depend_on_the_others():
     whole = all_derivatives(fixed(ALL), ALL)
     for names in (("twist0",), ("body.com", "body.mass"), ALL[::-1]):
@@ -139,6 +139,7 @@ FORMULATIONS = [
 ]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("name", "options"), FORMULATIONS)
 def test_formulations_agree(name, options):
     is_centred = "cspace" in options
@@ -165,7 +166,7 @@ def test_bodies_with_equal_moments_are_differentiated_by_all_of_the_inertia(mome
 # ---- laws --------------------------------------------------------------------------------------
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_derivative_along_the_flow_is_the_twist():
     # A start that is later by dt ends later by dt: ∂x/∂x₀ ẋ(0) = ẋ(t).
     problem, _, twist = problem_of("spherical")
@@ -220,7 +221,7 @@ def test_momentum_of_a_free_body_is_conserved_along_every_direction():
     assert np.abs(momentum(-1) - momentum(0)).max() < 1e-12
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_central_differences_of_lierb_itself_come_near():
     problem, pose, twist = problem_of("spherical")
     result = fixed(("body.mass",))

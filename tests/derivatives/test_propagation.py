@@ -60,7 +60,7 @@ def test_a_parameter_spreads_by_its_exact_derivative():
     assert_allclose(spread.standard_deviations("position")[:, 0], right, rtol=1e-9)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_linear_theory_ends_where_a_pendulum_loses_its_phase():
     """Near the top the period depends strongly on the amplitude; half a turn is no Gaussian."""
     problem = pendulum()

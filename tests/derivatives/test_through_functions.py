@@ -83,7 +83,7 @@ def test_forces_and_users_functions_have_the_derivatives_of_complex_steps(name):
     compare(problem, name, pose, twist, result, force=force, scales={})
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_work_of_forces_balances_the_energy_along_a_direction():
     drag = lierb.forces.drag(linear=0.5, angular=0.05)
     problem, pose, twist = problem_of("spherical", forces=drag)
@@ -103,7 +103,7 @@ def in_a_plane(R, r, params):
     return r[2] + 0.1 * r[0] * r[0] - params.height
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_users_constraint_moves_the_start_with_its_parameter():
     body = lierb.Body(1.0, (0.02, 0.03, 0.04))
     problem = lierb.Problem(body, lierb.joints.free(), GRAVITY, constraints=in_a_plane())
@@ -122,7 +122,7 @@ def test_a_users_constraint_moves_the_start_with_its_parameter():
             assert np.abs(change - slope).max() < 1e-9
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_motors_speed_moves_the_start():
     hinge = lierb.joints.revolute(axis=(0.0, 1.0, 0.0))
     problem = lierb.Problem(
@@ -237,7 +237,11 @@ def free_body(**more) -> lierb.Problem:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("force", [one_sided(), untold()], ids=["where", "of a parameter"])
+@pytest.mark.parametrize(
+    "force",
+    [one_sided(), pytest.param(untold(), marks=pytest.mark.long)],
+    ids=["where", "of a parameter"],
+)
 def test_a_function_that_switches_is_named_in_a_warning(force):
     start = {"twist0": (0.0, 0.0, 0.0, 0.0, 0.0, -1.0), "dt": 0.01, "t_end": 0.1}
     with pytest.warns(lierb.errors.DerivativeWarning, match=f"{force.name}: switches"):
@@ -246,7 +250,11 @@ def test_a_function_that_switches_is_named_in_a_warning(force):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("force", [burn(), kinked()], ids=["declared times", "kinks"])
+@pytest.mark.parametrize(
+    "force",
+    [burn(), pytest.param(kinked(), marks=pytest.mark.long)],
+    ids=["declared times", "kinks"],
+)
 def test_continuous_functions_and_declared_times_give_no_warning(force):
     problem = free_body(forces=force)
     result = lierb.integrate(
@@ -271,7 +279,7 @@ def test_a_stop_with_a_damper_warns_and_one_without_does_not():
         )
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_declared_time_that_stays_has_exact_derivatives_across_it():
     result = lierb.integrate(
         free_body(forces=burn()), twist0=(0.0,) * 6, dt=0.01, t_end=0.5,

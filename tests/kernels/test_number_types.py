@@ -208,7 +208,7 @@ def test_formulas_take_integers_for_numbers_in_users_njit_code():
 
 
 @needs_jit
-@pytest.mark.slow
+@pytest.mark.long
 def test_sweeps_hold_with_the_jit_off(tmp_path):
     """The accuracy tests of the compiled way, run in plain Python: two roundings for each fma."""
     environment = {**os.environ, "NUMBA_DISABLE_JIT": "1", "NUMBA_CACHE_DIR": str(tmp_path)}

@@ -74,6 +74,7 @@ def test_bits_of_mechanisms_do_not_depend_on_place_in_batch(expected):
     np.testing.assert_array_equal(bits(run(*part(order))), expected[order])
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("lanes", tiered([1, 2, 4], [], [2]))
 def test_bits_of_mechanisms_do_not_depend_on_lanes(lanes, expected, monkeypatch):
     monkeypatch.setattr(mechanism_plan, "DEFAULT_LANES", lanes)

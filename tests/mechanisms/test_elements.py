@@ -201,6 +201,7 @@ def test_momentum_is_that_of_the_bodies_and_stays_where_nothing_acts_from_outsid
     np.testing.assert_allclose(result.momentum[-1, 0], wanted, atol=1e-11)  # RK4's error
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "name", tiered(["point_on_line", "constant_velocity"], [], ["constant_velocity"])
 )

@@ -136,7 +136,7 @@ def test_mechanisms_with_usual_loops_share_their_code():
     assert kernels_loaded() == before
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["two_loops", pytest.param("many_loops", marks=pytest.mark.long)])
 def test_other_joints_close_loops_as_by_unrolled_formulas(name):
     agree(*shape(name))
@@ -179,7 +179,7 @@ def test_motors_constraints_and_forces_in_loops_act_as_by_unrolled_formulas():
 # ---- the number of dependent rows --------------------------------------------------------------
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_rows_that_contradict_each_other_end_a_trajectory():
     """Two motors drive the crank of a four-bar: at one speed they agree, then not."""
     given, start = shape("four_bar")
@@ -224,7 +224,7 @@ TIGHT = {"dt": None, "rtol": 1e-9, "atol": 1e-9, "t_end": 0.2, "method": "Tsit5"
          "stabilise": "project"}  # fmt: skip
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(
     "case",
     [pytest.param(lambda: shape("four_bar"), marks=pytest.mark.long), lambda: chain(9, pins=2)],
@@ -233,7 +233,7 @@ def test_projections_move_as_by_unrolled_formulas(case):
     agree(*case(), stabilise="project")
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_adaptive_steps_keep_loops_closed_and_reach_the_motion_of_small_steps():
     mechanism, start = chain(8)
     found = looped(mechanism, start, **TIGHT)
@@ -318,7 +318,7 @@ def blade(omega, v):
     return v[1] + 0.1 * omega[0]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_given_motions_and_constraints_on_velocities_act_as_in_unrolled_formulas():
     """The counted turns of the driven joint are its position, beyond one turn."""
     base = tree_of(("revolute", "spherical", "revolute", "revolute"), seed=3)

@@ -123,7 +123,7 @@ def test_steps_end_at_stops_as_in_unrolled_code():
     assert np.abs(counts[0][1] - counts[1][1]).max() <= 0.2 * counts[1][1].max() + 3
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_bits_of_elements_depend_on_nothing_else(monkeypatch):
     mechanism = made()
     start = start_of(mechanism)
@@ -133,7 +133,7 @@ def test_bits_of_elements_depend_on_nothing_else(monkeypatch):
     np.testing.assert_array_equal(bits(looped(mechanism, start, **ADAPTIVE)), expected)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_run_goes_on_with_states_and_outputs():
     mechanism, options = made(events=[]), ADAPTIVE
     start = start_of(mechanism)
@@ -147,7 +147,7 @@ def test_a_run_goes_on_with_states_and_outputs():
         np.testing.assert_allclose(*pair, rtol=NEAR, atol=NEAR, err_msg=name)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_fixed_steps_have_the_same_elements():
     """A chain of a hundred links under RK4 has the observables and events of its links."""
     chain = tree_of(("revolute",) * 100, seed=4)

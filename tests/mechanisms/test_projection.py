@@ -76,7 +76,7 @@ def test_projection_near_a_change_point_is_right_or_singular():
         assert fine.all() or rtol < 1e-6
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.filterwarnings("ignore::lierb.errors.FailedTrajectoryWarning")
 def test_fixed_steps_near_a_change_point_are_right_or_singular():
     made = parallelogram()

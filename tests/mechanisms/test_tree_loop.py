@@ -121,7 +121,7 @@ def test_random_trees_move_as_by_unrolled_formulas(seed):
     agree(tree_of(rng.choice(MOTIONS, 2 + 2 * seed), seed))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_links_on_fixed_joints_move_with_their_parents():
     agree(tree_of(("revolute", "fixed", "universal", "fixed", "spherical", "fixed", "revolute")))
 
@@ -131,7 +131,7 @@ def swaying(t, R, r, omega, v, params):
     return -0.1 * omega, R.T @ np.array((np.sin(3.0 * t), 0.0, -params.stiffness * r[2]))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_users_force_acts_as_in_unrolled_formulas():
     agree(tree_of(SIX, forces=(swaying().on("link3"), swaying(stiffness=1.0).on("link5"))))
 

@@ -126,7 +126,7 @@ def test_c13_a_double_cardan_turns_by_cardans_formula():
 @pytest.mark.parametrize(
     ("branches", "closed_by", "redundant"),
     [
-        (("first",), "cross", 1),
+        pytest.param(("first",), "cross", 1, marks=pytest.mark.long),
         pytest.param(("first", "second"), "bearing", 3, marks=pytest.mark.long),
         pytest.param(("first", "second"), "cross", 3, marks=pytest.mark.long),
     ],
