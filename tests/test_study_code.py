@@ -302,7 +302,8 @@ CODES = {
         r"attitude\.py runs a study when it is loaded .* if __name__ == \"__main__\":",
     ),
     "plain function": (
-        "def controller(t, R, r, omega, v):\n    return r, r\n", r"with @lierb\.wrench before it",
+        "def controller(t, R, r, omega, v):\n    return r, r\n",
+        r"with @lierb\.wrench or @lierb\.variable_mass before it",
     ),
 }  # fmt: skip
 

@@ -1,4 +1,4 @@
-"""docs/jobs/cable.md against statics, the pendulum of a point mass, and Bessel's function J₀."""
+"""docs/jobs/cable.md against the weight, the pendulum of a point mass, and Bessel's function J₀."""
 
 from __future__ import annotations
 

@@ -71,9 +71,9 @@ def added_mass(inertia: ArrayLike) -> Force:
     Parameters
     ----------
     inertia : array_like, shape (6,), (n, 6), (6, 6) or (n, 6, 6)
-        Added-mass matrix A about the origin of the body frame, in its axes, or its diagonal.
-        Rotation is first, as in a twist: kg m², then kg; off the diagonal blocks kg m. It is
-        symmetric, without negative eigenvalues. Naval texts have translation first.
+        Added-mass matrix A or its diagonal, kg m², kg m and kg. It is about the origin of the body
+        frame, in its axes, symmetric, and without negative eigenvalues. Rotation is first, as in a
+        twist; naval texts have translation first.
 
     Returns
     -------
