@@ -117,7 +117,7 @@ def load(t, params):
     ("kind", "cspace", "method"),
     [
         pytest.param("mass", "reduced", "RK4", marks=pytest.mark.slow),
-        pytest.param("fluid", "SE3", "RK4", marks=pytest.mark.slow),
+        pytest.param("fluid", "SE3", "RK4", marks=pytest.mark.long),
         pytest.param("mass", "reduced", "Rodas4", marks=pytest.mark.long),
         pytest.param("fluid", "reduced", "Rodas4", marks=pytest.mark.long),
     ],
@@ -238,7 +238,7 @@ def test_negative_mass_ends_a_trajectory():
     assert result.summary["status"].to_pylist() == ["non_finite", "ok"]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_derivatives_by_added_inertia_are_those_of_differences():
     options = {"twist0": {"hull": TWIST}, "dt": 1e-2, "t_end": 0.5}
     names = ["hull.added_mass.inertia", "hull.shrinking.rate"]

@@ -244,7 +244,7 @@ def test_process_of_the_old_source_keeps_its_code_to_itself(copy):
     assert copy.run(BRACKET_NOW, "se3")["z"] == 2.0
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_processes_that_compile_at_once_are_both_right(copy):
     groups = ["so3", "se3", "so3", "se3"]
     together = [finished(process) for process in [copy.start(BRACKET_NOW, g) for g in groups]]
@@ -421,7 +421,7 @@ def spring(t, R, r, omega, v, params):
 SPRING += NOW.replace("gravity=", "forces=spring(), gravity=")
 
 
-@pytest.mark.slow  # two processes, one of which compiles
+@pytest.mark.long  # two processes, one of which compiles
 def test_function_of_the_user_leaves_nothing_of_its_own_in_the_cache(warm):
     copy = warm
     project = copy.folder / "project"
@@ -664,8 +664,8 @@ INTERRUPTED = "import json\n" + INTERRUPTED
 
 
 @pytest.mark.slow  # each compiles two functions
-@pytest.mark.parametrize("kind", ["SIGINT", "SIGALRM"])
-@pytest.mark.parametrize("after", [0.02, 0.1, 0.4, 0.7])
+@pytest.mark.parametrize("kind", ["SIGINT", pytest.param("SIGALRM", marks=pytest.mark.long)])
+@pytest.mark.parametrize("after", [pytest.param(0.02, marks=pytest.mark.long), 0.1, 0.4, 0.7])
 def test_interrupted_compilation_leaves_the_next_call_right(copy, kind, after):
     if not hasattr(signal, "setitimer"):
         pytest.skip("no timers of signals here")

@@ -156,7 +156,7 @@ def test_bits_do_not_depend_on_chunks(bodies, block_steps, expected, monkeypatch
     ("cspace", "update"),
     [
         pytest.param("SE3", "global", marks=pytest.mark.long),
-        pytest.param("SO3xR3", "local", marks=pytest.mark.slow),
+        pytest.param("SO3xR3", "local", marks=pytest.mark.long),
         pytest.param("SO3xR3", "global", marks=pytest.mark.long),
         pytest.param("SE3", "ambient", marks=pytest.mark.long),
         pytest.param("SO3xR3", "ambient", marks=pytest.mark.long),

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 import readme
-from cases import slow_but
+from cases import slow_but, tiered
 
 import lierb
 
@@ -34,7 +34,9 @@ KERNELS = (
     "from_mujoco",
     "install",
 )  # have some of their own
+LONG = ("derivatives", "fitting")  # have many
 QUICK = [page for page in PAGES if page.stem not in KERNELS]
+SLOW_PAGES = [page for page in PAGES if page.stem not in LONG]
 
 SPAN = re.compile(r"`([^`\n]+)`")
 NAME = re.compile(r'\b(lierb(?:\.\w+)+)(?:\["(\w+)"\])?')
@@ -121,7 +123,7 @@ def test_examples_of_docstrings_run(name):
     assert outcome.failed == 0
 
 
-@pytest.mark.parametrize("page", slow_but(PAGES, *QUICK), ids=lambda page: page.stem)
+@pytest.mark.parametrize("page", tiered(PAGES, QUICK, SLOW_PAGES), ids=lambda page: page.stem)
 def test_examples_run(page):
     result = doctest.testfile(str(page), module_relative=False, encoding="utf-8")
     assert result.failed == 0

@@ -90,7 +90,7 @@ def test_observables_fields_have_their_units(watched):
 
 WAYS = [
     pytest.param("spherical", {}, id="subgroup"),
-    pytest.param("spherical", {"solver": "saddle"}, id="saddle", marks=pytest.mark.slow),
+    pytest.param("spherical", {"solver": "saddle"}, id="saddle", marks=pytest.mark.long),
     pytest.param(
         "universal", {"cspace": "SO3xR3", "update": "global"}, id="global", marks=pytest.mark.long
     ),

@@ -255,7 +255,7 @@ HARD = {  # what a study may find, and its figures
     },
     "names that no font has": {"sample": {"n": 3}, "integrate": {"dt": 1e-3}},
 }  # fmt: skip
-LONG = ("names that no font has", "no error at all", "all failed, one dt")
+LONG = ("names that no font has", "no error at all", "all failed, one dt", "one body, one step")
 APPLICABLE = {"all failed": 4, "one body, one step": 3, "no error at all": 4}
 
 

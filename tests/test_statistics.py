@@ -222,7 +222,7 @@ def test_resume_stops_at_the_same_part(stopped, tmp_path):
     assert hashes(out) == hashes(stopped)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_workers_stop_at_the_same_part(stopped, tmp_path):
     pytest.importorskip("distributed")
     with cluster.local_client(2) as client:

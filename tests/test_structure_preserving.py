@@ -43,14 +43,19 @@ FORMS = [
 ]
 # Each form has a kernel of its own: of every family, one runs with the quick tests.
 QUICK = [("Verlet", "SE3"), ("RATTLie", "SO3xR3"), ("alpha2", "SO3xR3")]
+SLOW = [("Verlet4", "SE3"), ("RATTLie", "SE3"), ("alpha3", "SE3")]
+MARKS = [
+    () if form in QUICK else pytest.mark.slow if form in SLOW else pytest.mark.long
+    for form in FORMS
+]
 SYMPLECTIC = ("Verlet", "Verlet4", "RATTLie")
 
 
 def forms(*names: str) -> list:
-    """The forms of these methods, or all; those outside QUICK are slow."""
+    """The forms of these methods, or all; those outside QUICK are slow or long."""
     return [
-        pytest.param(*form, marks=() if form in QUICK else pytest.mark.slow)
-        for form in FORMS
+        pytest.param(*form, marks=mark)
+        for form, mark in zip(FORMS, MARKS, strict=True)
         if form[0] in names or not names
     ]
 
@@ -164,7 +169,7 @@ def test_forces_that_depend_on_velocity_and_time_have_the_order_documented(name)
     assert (slopes(errors) > DAMPED[name] - 0.15).all()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("name", [pytest.param("Verlet", marks=pytest.mark.long), "RATTLie"])
 def test_output_between_steps_and_events_have_order_2(name):
     problem, twist0 = box_top()

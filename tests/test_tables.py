@@ -668,7 +668,7 @@ def lost(t, R, r, omega, v):
     return np.array([0.0, 0.0, lierb.where(t > 1.5 * DT, np.nan, 0.0)]), np.zeros(3)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_force_that_is_nan_contradicts_no_row():
     """Of a row in the Schur complement, and of a loop with rows that depend on others."""
     joint = joints.universal(body_point=(0.0, 0.0, 0.3))

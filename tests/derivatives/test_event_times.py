@@ -136,7 +136,7 @@ def test_an_event_that_does_not_end_the_run_changes_nothing():
     assert np.abs(place - 0.9 * np.eye(3)).max() < 1e-11
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_events_of_a_mechanism_end_it_on_a_joint():
     hinge = lierb.joints.revolute(axis=(0.0, 1.0, 0.0), body_point=(0.0, 0.0, 0.5))
     rod = lierb.Body(1.0, (0.1, 0.1, 0.01))

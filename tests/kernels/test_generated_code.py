@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import numba
 import numpy as np
 import pytest
-from cases import slow_but
+from cases import long_but
 
 from lierb.compiler.code import OPTIONS
 from lierb.kernels.loops.blocks import integrate_blocks
@@ -55,7 +55,7 @@ def innermost_loops(assembly: str) -> list[list[str]]:
 
 
 # Each is compiled here, whatever the disk cache has.
-@pytest.fixture(scope="module", params=slow_but(PLANS, "spherical", "saddle_so3xr3"))
+@pytest.fixture(scope="module", params=long_but(PLANS, "spherical", "saddle_so3xr3"))
 def hot_loop(request) -> SimpleNamespace:
     """Counts of each operation in the loop over steps, and the expected number of FMAs."""
     joint, cspace, solver, expected = PLANS[request.param]

@@ -242,6 +242,7 @@ def test_adaptive_steps_keep_loops_closed_and_reach_the_motion_of_small_steps():
     np.testing.assert_allclose(found["link7"].position, fine["link7"].position, atol=1e-8)
 
 
+@pytest.mark.long
 def test_bits_of_projected_adaptive_steps_depend_on_nothing_else(monkeypatch):
     mechanism, start = chain(8, count=11)
     found = looped(mechanism, start, **TIGHT)
