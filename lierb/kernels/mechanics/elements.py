@@ -107,6 +107,11 @@ class Element:
     discontinuities: tuple[str, ...] = ()  # parameters that are times of possible jumps, s
     rows: int = 0
 
+    @property
+    def is_listed(self) -> bool:
+        """Return whether looped code has it one by one: passive elements, and extra states."""
+        return self.is_passive or isinstance(self, AddedStates)
+
     def require_fit(self, parameters: Mapping[str, Any]) -> None:
         """Raise ArgumentError for parameters, arrays by name, that no such element can have."""
 
@@ -413,30 +418,39 @@ class _Starting(Passive):
         return values
 
 
-class AddedStates(_Starting):
-    """Extra states, integrated from their derivatives.
+class AddedStates(Element):
+    """Element with extra states, integrated from their derivatives.
 
     depends_on_pose : True if the initial values depend on the pose at the start.
+    states : shapes by name.   state_unit : their unit.
     """
 
     depends_on_pose: ClassVar = False
+    state_unit: ClassVar = "1"
     states: Shapes
-
-    @property
-    def own(self) -> Shapes:
-        return self.states
 
     def at_start(self, placed: Any, x: Motion | None) -> Vec:
         """Initial values.   x : motion at the start, if they depend on the pose."""
-        return self.initial(placed)
+        raise NotImplementedError
 
     def rates(self, placed: Any, x: Motion) -> Vec:
         """Derivatives of all states, flattened."""
         raise NotImplementedError
 
 
+class PassiveStates(AddedStates, _Starting):
+    """Extra states without an effect of their own."""
+
+    @property
+    def own(self) -> Shapes:
+        return self.states
+
+    def at_start(self, placed: Any, x: Motion | None) -> Vec:
+        return self.initial(placed)
+
+
 @dataclass(frozen=True)
-class TurnCounter(AddedStates):
+class TurnCounter(PassiveStates):
     """Angle of a joint's axis without end: the integral of its rate."""
 
     depends_on_pose: ClassVar = True
@@ -467,7 +481,7 @@ def counted_turn(q: Mat, near: Any) -> Any:
 
 
 @dataclass(frozen=True)
-class UserStates(AddedStates):
+class UserStates(PassiveStates):
     """User's extra states."""
 
     bounds_steps: ClassVar = True

@@ -193,7 +193,7 @@ class LoopPlan(AnyPlan):
 
     `lierb.kernels.systems.tree_table` describes the tree at run time.
 
-    elements : one of each kind that acts, then all passive ones.
+    elements : one of each kind that acts, then all listed ones; see `Element.is_listed`.
     listed_kinds : kinds of the elements that the code has one by one; see `MechanismPlan.listed`.
     """
 
@@ -244,8 +244,9 @@ class MechanismPlan(AnyPlan):
         common = {field.name: getattr(self, field.name) for field in fields(AnyPlan)}
         kinds = tuple(dict.fromkeys(self.element_kinds))
         acting = tuple(k for k in kinds if not k.element.is_passive)
-        passive = (element for element in self.elements if element.is_passive)
-        common["elements"] = (*dict.fromkeys(kind.element for kind in acting), *passive)
+        looped = (kind.element for kind in acting if not kind.element.is_listed)
+        listed = (element for element in self.elements if element.is_listed)
+        common["elements"] = (*dict.fromkeys(looped), *listed)
         constraints = {kind for _, kind in self.constraints} | {*self.usual_constraints}
         return LoopPlan(
             **common,
@@ -268,11 +269,11 @@ class MechanismPlan(AnyPlan):
 
     @cached_property
     def listed(self) -> tuple[int, ...]:
-        """Indices of elements that looped code lists one by one: passive ones, then those that
-        may jump.
+        """Indices of elements that looped code lists one by one: `Element.is_listed`, then those
+        that may jump.
         """
-        passive = [k for k, e in enumerate(self.elements) if e.is_passive]
-        return (*passive, *(k for k, e in enumerate(self.elements) if e.discontinuities))
+        listed = [k for k, e in enumerate(self.elements) if e.is_listed]
+        return (*listed, *(k for k, e in enumerate(self.elements) if e.discontinuities))
 
     @cached_property
     def constraints(self) -> tuple[tuple[int, ConstraintKind], ...]:

@@ -121,20 +121,19 @@ class LoopStart(TreeInMemory):
         return body._replace(length=sums[0], heavy=sums[1])
 
     def _with_elements(self, tree: MemoryTree, body: LoopBody, numbers: Numbers) -> LoopBody:
-        """Return the constants with those of passive elements, and the times of jumps."""
+        """Return the constants with those of listed elements, and the times of jumps."""
         placed: list[Any] = []
         frames: list[tuple[Any, ...]] = []
         for k, kind in enumerate(self.plan.listed_kinds):
             inner, outer, found = _placed(tree.listed(k), kind, numbers)
             placed.append(found)
             frames.append((inner, outer) if kind.on_joint else ())
-        passive = [e for e in self.plan.elements if e.is_passive]
-        others: tuple[Any, ...] = ((),) * (len(self.plan.elements) - len(passive))
+        count = sum(e.is_listed for e in self.plan.elements)
+        others: tuple[Any, ...] = ((),) * (len(self.plan.elements) - count)
         jumping = zip(self.plan.listed_kinds, placed, strict=True)
         jumps = (time for kind, own in jumping for time in kind.element.jumps(own))
-        elements = (*others, *placed[: len(passive)])
         return body._replace(
-            elements=elements, frames=tuple(frames[: len(passive)]), jumps=tuple(jumps)
+            elements=(*others, *placed[:count]), frames=tuple(frames[:count]), jumps=tuple(jumps)
         )
 
     def _load_element(self, element: MemoryElement, numbers: Numbers) -> None:

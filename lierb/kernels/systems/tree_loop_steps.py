@@ -70,7 +70,7 @@ class LoopSteps(LoopMotions):
         sums = tree.section(at.SUMS_ROW)
         power = sums[at.POWER] if self.plan.does_work else ZERO
         singular = sums[at.SINGULAR] if self.plan.constraint_kinds else ZERO
-        of_states = self.state_rates(body, LoopMotion(self._of_passive(body)), time)
+        of_states = self.state_rates(body, LoopMotion(self._of_listed(body)), time)
         return Rates((), (), power, singular, of_states)
 
     def _call_rates(self, body: LoopBody, ahead: Index, time: Any) -> None:

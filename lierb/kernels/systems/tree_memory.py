@@ -52,8 +52,8 @@ class LoopBody(NamedTuple):
 
     mass : of the first link, as an example of the number type.
     dropped, signals, girth : see `TreeConstants`.   length : characteristic length, m.
-    heavy : sum of the roots of all masses, √kg.   elements : parameters of passive elements, behind
-    nothing for each other element of the plan.   frames : of each passive element at a joint, on
+    heavy : sum of the roots of all masses, √kg.   elements : parameters of listed elements, behind
+    nothing for each other element of the plan.   frames : of each listed element at a joint, on
     its two nodes; () for others.   jumps : times at which elements may jump, s.
     """
 
