@@ -143,7 +143,7 @@ def joint_stiction(
     viscous : float or array_like, shape (n,), optional
         Coefficient of viscous friction, N m s/rad.
     start : float or array_like, shape (n,), optional
-        Deflection at the start, rad; load/stiffness is at rest under a load.
+        Deflection at the start, rad. A load is at rest on load/stiffness.
     state : str, optional
         Name of the deflection, a column of `history` and `summary`, which users' functions read as
         `states.bristle`. Each stiction of a mechanism needs a name of its own.
