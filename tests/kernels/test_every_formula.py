@@ -121,6 +121,7 @@ OF_CLOCKS = (
     "stepping.stages.StageMethod.between",
     "stepping.stages.StageMethod.defects",
     "stepping.stages.StageMethod.extended",
+    "stepping.stages.StageMethod.extrapolated",
     "stepping.stages.beside_the_step",
     "loops.event_dips.",
     "loops.event_search.",

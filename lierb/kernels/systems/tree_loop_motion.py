@@ -110,7 +110,7 @@ class LoopMotions(LoopRows):
         return body.jumps
 
     def travel(
-        self, body: LoopBody, start: LoopMotion, end: LoopMotion, time: Any, watched: bool
+        self, body: LoopBody, start: LoopMotion, end: LoopMotion, time: Any, h: Any, watched: bool
     ) -> tuple[Bound, ...]:
         """Bounds on a step's length; see `PassiveElements.travel`.
 
@@ -123,7 +123,7 @@ class LoopMotions(LoopRows):
             bound
             for i, e in enumerate(listed, first)
             if (isinstance(e, UserEvent) if watched else e.bounds_steps)
-            for bound in e.travel(body.elements[i], before(i), after(i), size)
+            for bound in e.travel(body.elements[i], before(i), after(i), h, size)
         )
         if watched or not any(kind.element.bounds_steps for kind in self.plan.element_kinds):
             return bounds
@@ -134,7 +134,7 @@ class LoopMotions(LoopRows):
         if steps[0] is not steps[1]:
             tree.for_elements(_keep_motion)
             self._see(tree, steps[1])
-        tree.for_elements(partial(_bound, best, size, steps[0] is not steps[1]))
+        tree.for_elements(partial(_bound, best, h, size, steps[0] is not steps[1]))
         return (*bounds, Bound(1.0, best[0]))
 
 
@@ -157,7 +157,7 @@ def _keep_motion(element: MemoryElement) -> None:
     element.each_kind(partial(_bounding, do))
 
 
-def _bound(best: Rows, size: Any, is_kept: bool, element: MemoryElement) -> None:
+def _bound(best: Rows, h: Any, size: Any, is_kept: bool, element: MemoryElement) -> None:
     """Lower the longest step by an element's bounds.   is_kept : whether its start is stored."""
 
     def do(kind: ElementKind) -> None:
@@ -166,7 +166,7 @@ def _bound(best: Rows, size: Any, is_kept: bool, element: MemoryElement) -> None
         if is_kept:
             rows = _kept_motion(element)
             start = Motion(ZERO, rows[0:9], rows[9:12], rows[12:15], rows[15:18])
-        for rate, distance in kind.element.travel(placed, start, end, size):
+        for rate, distance in kind.element.travel(placed, start, end, h, size):
             if not is_zero(rate):
                 longest = where(rate > 0.0, distance / where(rate > 0.0, rate, 1.0), INF)
                 best.put(0, minimum(best[0], longest))
