@@ -97,10 +97,7 @@ class Task:
 
     def differences(self, result: Result) -> list[Array]:
         """Return run minus data of each column, (times, n, width); NaN without a sample."""
-        return [
-            column.quantity.difference(column.values, column.quantity.values(result))
-            for column in self.data.columns
-        ]
+        return [column.difference(result) for column in self.data.columns]
 
     def jacobian(self, x: Array) -> Array:
         """Return the derivatives of the weighted residuals by the coordinates."""
@@ -137,11 +134,7 @@ class Task:
         unknowns, starts = self.unknowns, []
         slope = column.quantity.slope(off)
         for p in self.variation.parameters:
-            own = column.quantity.derivative(result, p)
-            own = np.broadcast_to(own, (own.shape[0], self.data.count, *own.shape[2:]))
-            if slope is not None:
-                own = slope @ own
-            own = own / column.sigma[:, None]
+            own = column.derivative(result, p, slope)
             if p.is_start:
                 turned = unknowns.turned(changes, p)
                 starts.append(own if turned is None else own @ turned)

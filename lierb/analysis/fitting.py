@@ -231,7 +231,7 @@ def _report(task: Task, solution: Any, evaluations: int) -> Fit:
     }
     model: Any = varied.model
     return Fit(
-        estimate=_estimate(task), standard_errors=_by_parameter(task, deviations),
+        estimate=unknowns.estimate, standard_errors=unknowns.by_parameter(deviations),
         covariance=covariance, labels=unknowns.labels, unidentifiable=_untold(unknowns, told),
         problem=model, start={**varied.start, "t0": task.variation.t0}, result=result,
         t=task.data.t, residuals=residuals, chi2=chi2, freedoms=freedoms,
@@ -250,28 +250,5 @@ def _status(solution: Any) -> str:
 
 
 def _untold(unknowns: Unknowns, told: Identified) -> tuple[Any, ...]:
-    labels, units, values = unknowns.labels, unknowns.units, unknowns.values
+    labels, units, values = unknowns.labels, unknowns.units, unknowns.all_values
     return tuple(described(unknowns.spread @ change, labels, values, units) for change in told.null)
-
-
-def _estimate(task: Task) -> dict[str, Array]:
-    """Return the numbers of each parameter at the base of a task."""
-    estimate, base = {}, task.variation.base
-    for p in task.variation.parameters:
-        if not p.is_start:
-            estimate[p.name] = task.variation.values[p.name]
-            continue
-        link, _, what = p.name.rpartition(".")
-        array = base.poses[link] if what == "pose0" else base.twists[link]
-        estimate[p.name] = array[..., :3] if what == "omega0" else array
-    return estimate
-
-
-def _by_parameter(task: Task, numbers: Array) -> dict[str, Array]:
-    """Return numbers in the order of the labels by parameter, with an axis for trajectories."""
-    unknowns = task.unknowns
-    by_name = {name: numbers[part] for name, part in unknowns.slices.items()}
-    starts = numbers[unknowns.shared :].reshape(unknowns.count, -1)
-    for name, part in unknowns.start_parts.items():
-        by_name[name] = starts[:, part] if unknowns.count > 1 else starts[0, part]
-    return {p.name: by_name[p.name] for p in task.variation.parameters}

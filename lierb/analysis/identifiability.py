@@ -53,29 +53,77 @@ class Identified(NamedTuple):
     rank: int
 
 
+class Decomposed(NamedTuple):
+    """Singular values of a Jacobian, or of each of a stack, in units of the unknowns.
+
+    Columns are of unit length in these units, those without effect are zero.
+
+    units : change of each unknown that is its unit, (…, unknowns).
+    is_felt : False for unknowns without effect.
+    left, values, rows : decomposition U, S, Vᵀ; V is complete.
+    is_told : True for the directions with an effect, (…, values).
+    """
+
+    units: Array
+    is_felt: NDArray[np.bool_]
+    left: Array
+    values: Array
+    rows: Array
+    is_told: NDArray[np.bool_]
+
+    @property
+    def rank(self) -> NDArray[np.int64]:
+        """Return the number of directions told, (…)."""
+        return np.asarray(self.is_told.sum(-1))
+
+    @property
+    def covariance(self) -> Array:
+        """Return the covariance of the directions told, for residuals of variance 1."""
+        size = self.values.shape[-1]
+        inverse = np.where(self.is_told, 1.0 / np.where(self.is_told, self.values, 1.0), 0.0)
+        half = self.units[..., None] * self.rows[..., :size, :].swapaxes(-1, -2)
+        half = half * inverse[..., None, :]
+        return np.asarray(half @ half.swapaxes(-1, -2))
+
+    @property
+    def is_known(self) -> NDArray[np.bool_]:
+        """Return False for the unknowns in any direction without effect, (…, unknowns)."""
+        numbers = np.arange(self.rows.shape[-1])
+        null = np.where((numbers >= self.rank[..., None])[..., None], self.rows, 0.0)
+        return np.asarray(self.is_felt & (np.linalg.norm(null, axis=-2) <= SHARE))
+
+
+def decomposed(jacobian: Array, sizes: Array) -> Decomposed:
+    """Decompose Jacobians by singular values.
+
+    jacobian : (…, residuals, unknowns).   sizes : typical size of each unknown, (…, unknowns).
+    """
+    scaled = jacobian * sizes[..., None, :]
+    norms = np.linalg.norm(scaled, axis=-2)
+    is_felt = norms > NO_EFFECT * norms.max(axis=-1, keepdims=True, initial=0.0)
+    units = np.where(is_felt, sizes / np.where(is_felt, norms, 1.0), 0.0)
+    left, values, rows = np.linalg.svd(jacobian * units[..., None, :], full_matrices=False)
+    if rows.shape[-2] < rows.shape[-1]:  # fewer residuals than unknowns
+        rows = np.linalg.svd(jacobian * units[..., None, :], full_matrices=True)[2]
+    is_told = values > NO_DIFFERENCE * values.max(axis=-1, keepdims=True, initial=0.0)
+    return Decomposed(units, is_felt, left, values, rows, is_told)
+
+
 def identified(jacobian: Array, sizes: Array) -> Identified:
-    """Decompose a Jacobian by singular values.
+    """Find the directions that data tell, and those that they do not.
 
     jacobian : (residuals, unknowns).   sizes : typical size of each unknown.
     """
-    scaled = jacobian * sizes
-    norms = np.linalg.norm(scaled, axis=0)
-    is_felt = norms > NO_EFFECT * norms.max(initial=0.0)
-    count = len(sizes)
-    units = sizes[is_felt] / norms[is_felt]
-    _, values, rows = np.linalg.svd(scaled[:, is_felt] / norms[is_felt], full_matrices=False)
-    rank = int(np.sum(values > NO_DIFFERENCE * values.max(initial=0.0)))
-    covariance = np.zeros((count, count))
-    half = units[:, None] * rows[:rank].T / values[:rank]
-    covariance[np.ix_(is_felt, is_felt)] = half @ half.T
+    parts = decomposed(jacobian, sizes)
+    is_felt, rank, count = parts.is_felt, int(parts.rank), len(sizes)
     null = np.zeros((count - rank, count))
     first = count - int(is_felt.sum())
     null[range(first), np.flatnonzero(~is_felt)] = sizes[~is_felt]
-    together = _sparse(_complement(rows[:rank]))
-    null[first:, is_felt] = together * units
+    together = _sparse(_complement(parts.rows[:rank, is_felt]))
+    null[first:, is_felt] = together * parts.units[is_felt]
     is_known = is_felt.copy()
     is_known[is_felt] &= ~np.any(np.abs(together) > SHARE, axis=0)
-    return Identified(covariance, null, is_known, rank)
+    return Identified(parts.covariance, null, is_known, rank)
 
 
 def _complement(rows: Array) -> Array:

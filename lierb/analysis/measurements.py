@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from math import prod
 from typing import Any
@@ -19,6 +19,8 @@ from lierb.kernels.numbers.vec import dot
 from lierb.model.base import Model
 from lierb.model.functions.column_names import COMPONENTS
 from lierb.results.columns import as_array
+from lierb.results.result import Result
+from lierb.runs.parameters import Parameter
 from lierb.support.arrays import Array, as_floats, assembled, components
 
 TIMES, TRAJECTORY, STEP = "t", "trajectory", "step"
@@ -46,6 +48,23 @@ class Measured:
             return known
         whole: NDArray[np.bool_] = np.all(known, axis=-1, keepdims=True)
         return np.repeat(whole, width, axis=-1)
+
+    def difference(self, result: Result) -> Array:
+        """Return run minus data, (times, n, width); NaN without a sample."""
+        return self.quantity.difference(self.values, self.quantity.values(result))
+
+    def derivative(self, result: Result, p: Parameter, slope: Array | None) -> Array:
+        """Return the derivatives of the difference over sigma by a parameter, (times, n, width, k).
+
+        slope : `Quantity.slope` of the difference.
+        """
+        own = self.quantity.derivative(result, p)
+        own = np.broadcast_to(own, (own.shape[0], self.values.shape[1], *own.shape[2:]))
+        return np.asarray((own if slope is None else slope @ own) / self.sigma[:, None])
+
+    def part(self, trajectories: NDArray[np.int64]) -> Measured:
+        """Return the samples of some trajectories."""
+        return replace(self, values=self.values[:, trajectories])
 
 
 @dataclass(frozen=True)

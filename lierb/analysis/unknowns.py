@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from functools import cached_property
-from itertools import pairwise
+from math import prod
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -36,11 +36,26 @@ class Charted(NamedTuple):
 
 
 class Unknowns:
-    """Unknowns of a variation for a number of trajectories."""
+    """Unknowns of one experiment, or of each of several, which have a leading axis in all arrays.
 
-    def __init__(self, variation: Variation, count: int, least: Array | None = None) -> None:
-        """least : least size of each unknown, such as that of the guess."""
+    An experiment has `count` trajectories, those of the next one follow. Shapes are given without
+    the axis of experiments.
+    """
+
+    def __init__(
+        self,
+        variation: Variation,
+        count: int,
+        least: Array | None = None,
+        experiments: int | None = None,
+    ) -> None:
+        """least : least size of each unknown, such as that of the guess.
+
+        experiments : number of experiments with unknowns of their own; None for a single one,
+        without the axis.
+        """
         self.variation, self.count, self._least = variation, count, least
+        self.lead = () if experiments is None else (experiments,)
         self.numbers = [p for p in variation.parameters if not p.is_start]
         self.starts = [p for p in variation.parameters if p.is_start]
         self.slices, self.start_parts = slices_of(self.numbers), slices_of(self.starts)
@@ -49,43 +64,76 @@ class Unknowns:
     # ---- starts --------------------------------------------------------------------------------
 
     @cached_property
-    def bases(self) -> list[Array]:
-        """Return the admitted directions of each trajectory's start, (numbers, admitted)."""
+    def bases(self) -> Array:
+        """Return the admitted directions of starts, (count, numbers, admitted)."""
+        shape = (*self.lead, self.count)
         if not self.starts:
-            return [np.zeros((0, 0))] * self.count
+            return np.zeros((*shape, 0, 0))
         moved = [
             np.concatenate(
                 [np.concatenate(both, -1) for both in self.variation.moved[p.name].values()], -1
             )
             for p in self.starts
         ]  # (numbers, n or 1, 12 links) each
-        rows = [np.broadcast_to(x, (len(x), self.count, x.shape[-1])) for x in moved]
-        return [_admitted(each) for each in np.concatenate(rows).swapaxes(0, 1)]
-
-    @cached_property
-    def start_slices(self) -> list[slice]:
-        """Return the place of each trajectory's start among the unknowns."""
-        ends = self.shared + np.cumsum([0, *(basis.shape[1] for basis in self.bases)])
-        return [slice(int(a), int(b)) for a, b in pairwise(ends)]
+        rows = np.concatenate(
+            [np.broadcast_to(x, (len(x), prod(shape), x.shape[-1])) for x in moved]
+        ).swapaxes(0, 1)
+        if np.array_equal(rows, np.broadcast_to(rows[:1], rows.shape)):
+            rows = rows[:1]  # all starts admit the same
+        basis = _admitted(rows)
+        basis = np.broadcast_to(basis, (prod(shape), *basis.shape[1:]))
+        return basis.reshape(*shape, *basis.shape[1:])
 
     @property
+    def admitted(self) -> int:
+        """Return the number of unknowns of a trajectory's start."""
+        return int(self.bases.shape[-1])
+
+    @property
+    def start_slices(self) -> list[slice]:
+        """Return the place of each trajectory's start among the unknowns."""
+        firsts = [self.shared + i * self.admitted for i in range(self.count)]
+        return [slice(first, first + self.admitted) for first in firsts]
+
+    @cached_property
     def size(self) -> int:
         """Return the number of unknowns."""
-        return self.shared + sum(int(basis.shape[1]) for basis in self.bases)
+        return self.shared + self.count * self.admitted
 
     @cached_property
     def spread(self) -> Array:
         """Return the matrix from unknowns to all numbers, whose starts may depend on each other."""
-        widths = [len(basis) for basis in self.bases]
-        matrix = np.zeros((self.shared + sum(widths), self.size))
-        matrix[range(self.shared), range(self.shared)] = 1.0
-        first = self.shared
-        for basis, part in zip(self.bases, self.start_slices, strict=True):
-            matrix[first : first + len(basis), part] = basis
-            first += len(basis)
+        width = self.bases.shape[-2]
+        matrix = np.zeros((*self.lead, self.shared + self.count * width, self.size))
+        matrix[..., range(self.shared), range(self.shared)] = 1.0
+        for i, part in enumerate(self.start_slices):
+            first = self.shared + i * width
+            matrix[..., first : first + width, part] = self.bases[..., i, :, :]
         return matrix
 
     # ---- coordinates ---------------------------------------------------------------------------
+
+    @cached_property
+    def values(self) -> dict[str, Array]:
+        """Return the numbers of the model's parameters at the base. Raises ArgumentError."""
+        return {name: self._own(name, each) for name, each in self.variation.values.items()}
+
+    def _own(self, name: str, values: Array) -> Array:
+        """Return the numbers of a parameter by experiment."""
+        if values.ndim == 1:
+            return np.broadcast_to(values, (*self.lead, len(values)))
+        if not self.lead:
+            raise ArgumentError(
+                f"{name} has a number for each of {len(values)} trajectories; give the problem one "
+                "for all, which is varied"
+            )
+        values = values.reshape(*self.lead, self.count, -1)
+        if np.any(values != values[:, :1]):
+            raise ArgumentError(
+                f"{name} has different numbers in the trajectories of an experiment; expected one "
+                "for all of them, which is varied"
+            )
+        return np.asarray(values[:, 0])
 
     @cached_property
     def charted(self) -> list[Charted]:
@@ -99,28 +147,28 @@ class Unknowns:
         model, base, t0 = self.variation.model, self.variation.base, self.variation.t0
         all_names = [f"{prefix}{name}" for name in SIZES]
         numbers = Variation(base, chosen_parameters(model, all_names), t0).values
-        mass, com, inertia = (numbers[name] for name in all_names)
         unknown = tuple(name for name in SIZES if f"{prefix}{name}" in self.slices)
-        return Charted(prefix, unknown, coordinates_of(float(mass[0]), com, inertia))
+        mass, com, inertia = (self._own(name, numbers[name]) for name in all_names)
+        return Charted(prefix, unknown, coordinates_of(mass[..., 0], com, inertia))
 
     @cached_property
     def base(self) -> Array:
         """Return the coordinates at the base."""
-        x = np.zeros(self.size)
+        x = np.zeros((*self.lead, self.size))
         for p in self.numbers:
-            x[self.slices[p.name]] = self.variation.values[p.name]
+            x[..., self.slices[p.name]] = self.values[p.name]
         for body in self.charted:
             for name in body.unknown:
-                x[self.slices[f"{body.prefix}{name}"]] = body.given[name]
+                x[..., self.slices[f"{body.prefix}{name}"]] = body.given[name]
         return x
 
     def _coordinates(self, body: Charted, x: Array) -> dict[str, Array]:
-        own = {name: x[self.slices[f"{body.prefix}{name}"]] for name in body.unknown}
+        own = {name: x[..., self.slices[f"{body.prefix}{name}"]] for name in body.unknown}
         return body.given | own
 
     def numbers_at(self, x: Array) -> dict[str, Array]:
         """Return the numbers of the model's parameters at coordinates."""
-        numbers = {name: x[part] for name, part in self.slices.items()}
+        numbers = {name: x[..., part] for name, part in self.slices.items()}
         for body in self.charted:
             values = body_of(self._coordinates(body, x))
             numbers |= {f"{body.prefix}{name}": values[name] for name in body.unknown}
@@ -128,22 +176,27 @@ class Unknowns:
 
     def changes(self, x: Array) -> dict[str, Array]:
         """Return the changes of all parameters at coordinates, as `Variation.at` takes them."""
-        values = self.variation.values
-        changes = {name: each - values[name] for name, each in self.numbers_at(x).items()}
-        moved = np.array([b @ x[s] for b, s in zip(self.bases, self.start_slices, strict=True)])
-        moved = moved if self.count > 1 else moved[0]
+        numbers = self.numbers_at(x)
+        changes = {name: each - self.values[name] for name, each in numbers.items()}
+        along = x[..., self.shared :].reshape(*self.lead, self.count, self.admitted, 1)
+        moved = (self.bases @ along)[..., 0]
+        if self.lead:  # by trajectory
+            changes = {name: np.repeat(each, self.count, axis=0) for name, each in changes.items()}
+            moved = moved.reshape(-1, moved.shape[-1])
+        elif self.count == 1:
+            moved = moved[0]
         return changes | {name: moved[..., part] for name, part in self.start_parts.items()}
 
     def slope(self, x: Array) -> Array:
         """Return the derivatives of the shared unknowns by their coordinates."""
-        slope = np.eye(self.shared)
+        slope = np.zeros((*self.lead, self.shared, self.shared))
+        slope[..., range(self.shared), range(self.shared)] = 1.0
         for body in self.charted:
             derivatives = derivatives_of(self._coordinates(body, x))
             for row in body.unknown:
                 for column in body.unknown:
                     parts = (self.slices[f"{body.prefix}{name}"] for name in (row, column))
-                    block = derivatives.get((row, column), 0.0)
-                    slope[tuple(parts)] = block
+                    slope[(..., *parts)] = derivatives.get((row, column), 0.0)
         return slope
 
     def turned(self, changes: Mapping[str, Array], p: Parameter) -> Array | None:
@@ -195,10 +248,10 @@ class Unknowns:
     @cached_property
     def sizes(self) -> Array:
         """Return the typical size of each unknown: that of its parameter, 1 for a start."""
-        sizes = np.ones(self.size)
+        sizes = np.ones((*self.lead, self.size))
         for p in self.numbers:
-            largest = np.abs(self.variation.values[p.name]).max()
-            sizes[self.slices[p.name]] = largest if largest > 0.0 else 1.0
+            largest = np.abs(self.values[p.name]).max(axis=-1, keepdims=True)
+            sizes[..., self.slices[p.name]] = np.where(largest > 0.0, largest, 1.0)
         return sizes if self._least is None else np.maximum(sizes, self._least)
 
     @cached_property
@@ -208,7 +261,7 @@ class Unknowns:
         for body in self.charted:
             for name in ("mass", "inertia"):
                 if name in body.unknown:
-                    scales[self.slices[f"{body.prefix}{name}"]] = 1.0
+                    scales[..., self.slices[f"{body.prefix}{name}"]] = 1.0
         return scales
 
     @property
@@ -228,12 +281,45 @@ class Unknowns:
         return tuple([unit for p in self.numbers for unit in _units(p)] + self.count * starts)
 
     @property
-    def values(self) -> Array:
+    def all_values(self) -> Array:
         """Return the numbers of the parameters at the base; zero for starts, which are changes."""
-        values = np.zeros(len(self.labels))
+        values = np.zeros((*self.lead, len(self.labels)))
         for p in self.numbers:
-            values[self.slices[p.name]] = self.variation.values[p.name]
+            values[..., self.slices[p.name]] = self.values[p.name]
         return values
+
+    # ---- by parameter --------------------------------------------------------------------------
+
+    @property
+    def estimate(self) -> dict[str, Array]:
+        """Return the numbers of each parameter at the base, with an axis for trajectories."""
+        estimate, base = {}, self.variation.base
+        for p in self.variation.parameters:
+            if not p.is_start:
+                estimate[p.name] = np.array(self.values[p.name])
+                continue
+            link, _, what = p.name.rpartition(".")
+            array = base.poses[link] if what == "pose0" else base.twists[link]
+            array = array[..., :3] if what == "omega0" else array
+            estimate[p.name] = self._by_experiment(
+                array, array.shape[-1 if what != "pose0" else -2 :]
+            )
+        return estimate
+
+    def _by_experiment(self, array: Array, item: tuple[int, ...]) -> Array:
+        if not self.lead:
+            return array
+        several = (self.count,) if self.count > 1 else ()
+        array = np.broadcast_to(array, (self.lead[0] * self.count, *item))
+        return array.reshape(*self.lead, *several, *item)
+
+    def by_parameter(self, numbers: Array) -> dict[str, Array]:
+        """Return numbers in the order of the labels by parameter, likewise."""
+        by_name = {name: numbers[..., part] for name, part in self.slices.items()}
+        starts = numbers[..., self.shared :].reshape(*numbers.shape[:-1], self.count, -1)
+        for name, part in self.start_parts.items():
+            by_name[name] = starts[..., part] if self.count > 1 else starts[..., 0, part]
+        return {p.name: by_name[p.name] for p in self.variation.parameters}
 
 
 def guessed(variation: Variation, guesses: Mapping[str, Any]) -> Variation:
@@ -261,13 +347,16 @@ def guessed(variation: Variation, guesses: Mapping[str, Any]) -> Variation:
 
 
 def _admitted(rows: Array) -> Array:
-    """Return an orthonormal basis of the combinations of numbers that move the start.
+    """Return orthonormal bases of the combinations of numbers that move the starts.
 
-    rows : change of the start by each number. All numbers are their own basis if they are free.
+    rows : change of each start by each number, (starts, numbers, components). All numbers are their
+    own basis if they are free. The bases are as large as the largest one.
     """
     basis, values, _ = np.linalg.svd(rows, full_matrices=False)
-    rank = int(np.sum(values > RANK * values.max(initial=0.0)))
-    return np.eye(len(rows)) if rank == len(rows) else basis[:, :rank]
+    largest = values.max(axis=-1, keepdims=True, initial=0.0)
+    rank = int(np.sum(values > RANK * largest, axis=-1).max())
+    numbers = rows.shape[1]
+    return np.eye(numbers)[None] if rank == numbers else basis[..., :rank]
 
 
 def _pair(name: str, pair: Any, part: slice) -> list[Array]:

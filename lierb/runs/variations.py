@@ -11,7 +11,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from lierb.errors import ArgumentError
 from lierb.kernels.systems.layout import POSE
 from lierb.lie import se3
 from lierb.model.base import Model
@@ -73,7 +72,7 @@ class Variation:
 
     @cached_property
     def values(self) -> dict[str, Array]:
-        """Return the numbers of the model's parameters, (k,) by name. Raises ArgumentError."""
+        """Return the numbers of the model's parameters, by name: (k,), or (n, k) of a batch."""
         return {p.name: self._value(p) for p in self.parameters if not p.is_start}
 
     @cached_property
@@ -104,7 +103,7 @@ class Variation:
                 own = self.model.inputs[p.fields[0]]
                 before = numbers.get(p.fields[0], own)  # several points may share a frame
                 values = self.values[p.name] + changes[p.name]
-                numbers[p.fields[0]] = _replaced(before, own.shape, p, values)
+                numbers[p.fields[0]] = _replaced(before, item_shape(own, p), p, values)
         model = self.model.renumbered(numbers) if numbers else self.model
         poses, twists = self._moved_start(model, changes)
         return Varied(model, poses, twists)
@@ -167,14 +166,15 @@ class Variation:
         return np.concatenate((axis, place), -1), twists
 
     def _value(self, p: Parameter) -> Array:
-        own = self.model.inputs[p.fields[0]]
-        units = _units(p)
-        if own.size != units.shape[1]:
-            raise ArgumentError(
-                f"{p.name} has a number for each of {len(own)} trajectories; give the problem one "
-                "for all, which is varied"
-            )
-        return np.asarray(own.reshape(-1)[np.argmax(units != 0.0, axis=1)])
+        own, units = self.model.inputs[p.fields[0]], _units(p)
+        shape = item_shape(own, p)
+        flat = own.reshape(*own.shape[: own.ndim - len(shape)], -1)
+        return np.asarray(flat[..., np.argmax(units != 0.0, axis=1)])
+
+
+def item_shape(own: Array, p: Parameter) -> tuple[int, ...]:
+    """Return the shape of one member of a parameter's array in `Model.inputs`."""
+    return own.shape if own.size == _units(p).shape[1] else own.shape[1:]
 
 
 def _units(p: Parameter) -> Array:
