@@ -35,6 +35,7 @@ from lierb.support.extras import is_installed, require
 
 if TYPE_CHECKING:
     from lierb.analysis.fitting import fit
+    from lierb.analysis.many_fits import fits
     from lierb.analysis.propagation import propagate
     from lierb.studies.description.from_python import study_of as study_of
     from lierb.studies.description.study import Study as Study
@@ -45,7 +46,7 @@ __version__ = package_version()
 __all__ = [
     "TABLEAUS", "Body", "ButcherTableau", "Link", "Loop", "Mechanism", "Problem", "Result",
     "animate", "animation", "baumgarte", "bodies", "clip", "constraint", "controller",
-    "convergence", "errors", "event", "fit", "forces", "info", "integrate", "joints", "lie", "log",
+    "convergence", "errors", "event", "fit", "fits", "forces", "info", "integrate", "joints", "lie", "log",
     "noise", "observable", "predict", "propagate", "quaternion", "sampling", "states", "table",
     "turns", "variable_mass", "velocity_constraint", "warmup", "where", "wrench",
 ]  # fmt: skip
@@ -54,7 +55,11 @@ __all__ = [
 for _module in (animation, bodies, forces, joints, noise):
     sys.modules[f"lierb.{_module.__name__.rpartition('.')[2]}"] = _module
 
-_LATER = {"fit": "lierb.analysis.fitting", "propagate": "lierb.analysis.propagation"}
+_LATER = {
+    "fit": "lierb.analysis.fitting",
+    "fits": "lierb.analysis.many_fits",
+    "propagate": "lierb.analysis.propagation",
+}
 _STUDIES = {
     "Study": "lierb.studies.description.study",
     "integrate_batches": "lierb.studies.execution.streaming",

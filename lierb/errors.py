@@ -75,6 +75,10 @@ class FailedTrajectoryWarning(UserWarning):
     """Trajectories ended early, as `singular`, `non_finite` or `raised`."""
 
 
+class FailedFitWarning(UserWarning):
+    """Some of many fits have not converged, or the runs of their guesses failed."""
+
+
 class StiffStepWarning(UserWarning):
     """Steps are too long for the stability of an explicit method, or are limited by it.
 

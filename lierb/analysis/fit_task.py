@@ -12,7 +12,6 @@ from lierb.analysis.measurements import Measured, Measurements
 from lierb.analysis.unknowns import Unknowns
 from lierb.analysis.varied_runs import Runs
 from lierb.errors import ArgumentError, LierbError
-from lierb.results.columns import as_array
 from lierb.results.failures import Failures
 from lierb.results.result import Result
 from lierb.runs.variations import Variation, Varied
@@ -20,7 +19,6 @@ from lierb.support.arrays import Array
 from lierb.support.memory import require_memory
 
 PULL = 1e-6  # weight of the base, relative to the data's, where they do not tell all directions
-MOST_STEPS = 10  # attempted steps of a trial, by those of the guess; wild numbers would take ages
 
 
 class Task:
@@ -48,14 +46,10 @@ class Task:
     @cached_property
     def trials(self) -> Runs:
         """Return runs that end at MOST_STEPS times the steps of the base, if steps are adaptive."""
-        summary, runs = self.at_base.summary, self.runs
-        if "steps" not in summary.column_names or runs.keywords.get("max_steps") is not None:
-            return runs
-        if runs.keywords.get("rtol") is None and runs.keywords.get("atol") is None:
-            return runs
-        steps = as_array(summary["steps"]) + as_array(summary["rejected"])
-        most = MOST_STEPS * (int(steps.max()) + 10)
-        return runs._replace(keywords=runs.keywords | {"max_steps": most})
+        most = self.runs.most_steps(self.at_base.summary)
+        if most is None:
+            return self.runs
+        return self.runs._replace(keywords=self.runs.keywords | {"max_steps": most})
 
     @cached_property
     def told(self) -> Identified:

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from lierb.analysis.fit_result import Fit
 from lierb.analysis.fit_task import Task
-from lierb.analysis.identifiability import Identified, described
+from lierb.analysis.identifiability import Direction, Identified, described
 from lierb.analysis.measurements import Measurements, measurements
 from lierb.analysis.quantities import records_of, require_derivatives
 from lierb.analysis.unknowns import Unknowns, guessed
@@ -129,14 +129,11 @@ def fit(
     chosen = chosen_parameters(model, names)
     if not chosen:
         raise ArgumentError("parameters is empty; expected names, such as body.mass")
-    if not (is_whole(max_evaluations) and max_evaluations > 0):
-        raise ArgumentError(
-            f"max_evaluations={brief(max_evaluations)}; expected a whole number, 1 or more"
-        )
+    require_whole("max_evaluations", max_evaluations)
     for column in given.columns:
         require_derivatives(column.quantity, chosen)
     base = _of_trajectories(with_start(model, pose0, twist0), given.count, chosen)
-    runs = _runs(given, t0, t_end, options)
+    runs = fit_runs(given, t0, t_end, options)
     warn_of_switches(model, stacklevel=3)
     by_name = {p.name: guess for p, guess in zip(chosen, guesses.values(), strict=False)}
     variation = guessed(Variation(base, chosen, runs.options(model).timing.t0), by_name)
@@ -145,7 +142,14 @@ def fit(
         return _solved(variation, given, runs, bounds, int(max_evaluations))
 
 
-def _runs(given: Measurements, t0: Any, t_end: Any, options: dict[str, Any]) -> Runs:
+def require_whole(argument: str, given: Any) -> None:
+    """Raise ArgumentError unless an argument is a whole number, 1 or more."""
+    if not (is_whole(given) and given > 0):
+        raise ArgumentError(f"{argument}={brief(given)}; expected a whole number, 1 or more")
+
+
+def fit_runs(given: Measurements, t0: Any, t_end: Any, options: dict[str, Any]) -> Runs:
+    """Return the runs that save the measured quantities at the times of the data."""
     return runs_of(given.t, t0, t_end, records_of([c.quantity for c in given.columns]), options)
 
 
@@ -232,7 +236,7 @@ def _report(task: Task, solution: Any, evaluations: int) -> Fit:
     model: Any = varied.model
     return Fit(
         estimate=unknowns.estimate, standard_errors=unknowns.by_parameter(deviations),
-        covariance=covariance, labels=unknowns.labels, unidentifiable=_untold(unknowns, told),
+        covariance=covariance, labels=unknowns.labels, unidentifiable=described_directions(unknowns, told, unknowns.spread, unknowns.all_values),
         problem=model, start={**varied.start, "t0": task.variation.t0}, result=result,
         t=task.data.t, residuals=residuals, chi2=chi2, freedoms=freedoms,
         converged=bool(solution.status > 0), status=_status(solution), evaluations=evaluations,
@@ -249,6 +253,12 @@ def _status(solution: Any) -> str:
     return reasons[int(solution.status)]
 
 
-def _untold(unknowns: Unknowns, told: Identified) -> tuple[Any, ...]:
-    labels, units, values = unknowns.labels, unknowns.units, unknowns.all_values
-    return tuple(described(unknowns.spread @ change, labels, values, units) for change in told.null)
+def described_directions(
+    unknowns: Unknowns, told: Identified, spread: Array, values: Array
+) -> tuple[Direction, ...]:
+    """Describe the directions that data do not tell.
+
+    spread, values : `Unknowns.spread` and `Unknowns.all_values` of one experiment.
+    """
+    labels, units = unknowns.labels, unknowns.units
+    return tuple(described(spread @ change, labels, values, units) for change in told.null)

@@ -73,12 +73,14 @@ class Measurements:
 
     t : times, s, ascending.   count : number of trajectories.
     has_sigma : True if the noise has a given standard deviation.
+    counts : number of trajectories in each table.
     """
 
     t: Array
     columns: tuple[Measured, ...]
     count: int
     has_sigma: bool
+    counts: tuple[int, ...] = ()
 
     @property
     def size(self) -> int:
@@ -101,13 +103,14 @@ def measurements(model: Model, data: Any, sigma: Any) -> Measurements:
         raise ArgumentError(f"{label} has no measured column; expected {EXPECTED}")
     times = [_times(f"data[{i}]" if i else label, table[TIMES]) for i, table in enumerate(tables)]
     t = np.unique(np.concatenate(times))
-    columns = []
+    columns, lengths = [], []
     for name in names:
         quantity = quantity_named(model, "data: column", name)
         parts = [
             _placed(t, own, _values(name, table[name], len(own), quantity))
             for own, table in zip(times, tables, strict=True)
         ]
+        lengths = [part.shape[1] for part in parts]
         values = np.concatenate(parts, axis=1)
         columns.append(Measured(quantity, values, _sigma(name, sigma, quantity)))
     _require_sigmas(sigma, names)
@@ -115,7 +118,7 @@ def measurements(model: Model, data: Any, sigma: Any) -> Measurements:
     if len(counts) > 1:
         listed = ", ".join(f"{c.quantity.name} has {c.values.shape[1]}" for c in columns)
         raise ArgumentError(f"data: columns differ in their number of trajectories: {listed}")
-    return Measurements(t, tuple(columns), counts.pop(), sigma is not None)
+    return Measurements(t, tuple(columns), counts.pop(), sigma is not None, tuple(lengths))
 
 
 def _several(data: Any) -> Sequence[Any]:

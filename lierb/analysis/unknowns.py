@@ -311,7 +311,7 @@ class Unknowns:
             return array
         several = (self.count,) if self.count > 1 else ()
         array = np.broadcast_to(array, (self.lead[0] * self.count, *item))
-        return array.reshape(*self.lead, *several, *item)
+        return np.array(array.reshape(*self.lead, *several, *item))
 
     def by_parameter(self, numbers: Array) -> dict[str, Array]:
         """Return numbers in the order of the labels by parameter, likewise."""
@@ -322,8 +322,11 @@ class Unknowns:
         return {p.name: by_name[p.name] for p in self.variation.parameters}
 
 
-def guessed(variation: Variation, guesses: Mapping[str, Any]) -> Variation:
-    """Return a variation whose base has guesses of parameters. Raises ArgumentError."""
+def guessed(variation: Variation, guesses: Mapping[str, Any], batch: int = 0) -> Variation:
+    """Return a variation whose base has guesses of parameters. Raises ArgumentError.
+
+    batch : number of trajectories, each of which may have a guess of its own; 0 for none.
+    """
     known = {p.name: p for p in variation.parameters}
     changes = {p.name: np.zeros(p.size) for p in variation.parameters}
     for name, guess in guesses.items():
@@ -335,7 +338,8 @@ def guessed(variation: Variation, guesses: Mapping[str, Any]) -> Variation:
                 f"give {{{name!r}: None}} and twist0= or pose0="
             )
         value = as_floats(f"parameters[{name!r}]", guess)
-        if value.shape not in ((), (known[name].size,)) or not np.isfinite(value).all():
+        shapes = ((), (known[name].size,), *([(batch, known[name].size)] if batch else ()))
+        if value.shape not in shapes or not np.isfinite(value).all():
             raise ArgumentError(
                 f"parameters[{name!r}]={brief(guess)}; expected {known[name].size} finite numbers"
             )

@@ -5,8 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Any, NamedTuple
 
+import pyarrow as pa
+
 from lierb.api import integrate_model
 from lierb.errors import unknown_name
+from lierb.results.columns import as_array
 from lierb.results.result import Result
 from lierb.runs.options import Options
 from lierb.runs.variations import Varied
@@ -16,6 +19,7 @@ OPTIONS = (
     "dt", "rtol", "atol", "dt_min", "dt_max", "max_steps", "discontinuities", "method", "cspace",
     "update", "solver", "stabilise", "check", "seed", "trajectories", "threads",
 )  # fmt: skip
+MOST_STEPS = 10  # attempted steps of a trial, by those of the guess; wild numbers would take ages
 RTOL = 1e-9  # of runs without a step or tolerance
 
 
@@ -35,6 +39,16 @@ class Runs(NamedTuple):
             varied.model, self.options(varied.model), start["pose0"], start["twist0"],
             with_respect_to=parameters, threads=self.threads, progress=False,
         )  # fmt: skip
+
+    def most_steps(self, summary: pa.Table) -> int | None:
+        """Return MOST_STEPS times the attempted steps of a run; None if steps are not adaptive."""
+        is_adaptive = any(self.keywords.get(name) is not None for name in ("rtol", "atol"))
+        if "steps" not in summary.column_names or not is_adaptive:
+            return None
+        if self.keywords.get("max_steps") is not None:
+            return None
+        steps = as_array(summary["steps"]) + as_array(summary["rejected"])
+        return MOST_STEPS * (int(steps.max()) + 10)
 
 
 def runs_of(times: Array, t0: Any, t_end: Any, record: list[str], options: dict[str, Any]) -> Runs:

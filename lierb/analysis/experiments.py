@@ -1,0 +1,106 @@
+"""Data and starts of experiments: groups of equally many trajectories, which follow each other."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from lierb.analysis.measurements import TIMES, Measurements, measurements
+from lierb.analysis.quantities import QUATERNION, quantity_named
+from lierb.errors import ArgumentError, LierbError
+from lierb.model.base import Model
+from lierb.runs.variations import Varied
+from lierb.support.arrays import Array
+
+
+def measured_experiments(model: Model, data: Any, sigma: Any) -> tuple[Measurements, int]:
+    """Read the data of experiments; return them with the number of trajectories of each."""
+    if not isinstance(data, (list, tuple)):
+        flat, count = _flattened(model, data)
+        return measurements(model, flat, sigma), count
+    groups = [each if isinstance(each, (list, tuple)) else [each] for each in data]
+    given = measurements(model, [table for group in groups for table in group], sigma)
+    counts, first = [], 0
+    for group in groups:
+        counts.append(sum(given.counts[first : first + len(group)]))
+        first += len(group)
+    for i, count in enumerate(counts):
+        if count != counts[0]:
+            raise ArgumentError(
+                f"data[{i}] has {count} trajectories and data[0] {counts[0]}; expected equally "
+                "many in all experiments; missing samples are NaN"
+            )
+    return given, counts[0]
+
+
+def _flattened(model: Model, data: Any) -> tuple[Any, int]:
+    """Join the axes of experiments and trajectories of columns (times, n, m, …)."""
+    if not isinstance(data, Mapping):
+        return data, 1
+    columns, counts = {}, {}
+    for name, values in data.items():
+        array = values
+        if name != TIMES and hasattr(values, "ndim"):
+            item = _item_axes(model, name, values)
+            if values.ndim - item == 3:
+                counts[name] = values.shape[2]
+                array = values.reshape(values.shape[0], -1, *values.shape[3:])
+        columns[name] = array
+    if len({*counts.values()}) > 1:
+        listed = ", ".join(f"{name} has {count}" for name, count in counts.items())
+        raise ArgumentError(
+            f"data: columns differ in their number of trajectories by experiment: {listed}"
+        )
+    return columns, next(iter(counts.values()), 1)
+
+
+def _item_axes(model: Model, name: Any, values: Any) -> int:
+    """Return the number of axes of one sample."""
+    try:
+        shape = quantity_named(model, "data: column", name).shape
+    except LierbError:
+        return int(values.ndim)  # `measurements` reports the name
+    is_flat = name.rpartition(".")[2] == QUATERNION or (shape == (3, 3) and values.shape[-1] == 9)
+    if shape == (1,) and values.shape[-1] != 1:
+        return 0
+    return 1 if is_flat else len(shape)
+
+
+def flat_start(given: Any, item_axes: int) -> Any:
+    """Join the axes of experiments and trajectories of a start (n, m, …)."""
+    if isinstance(given, Mapping):
+        return {k: flat_start(each, item_axes) for k, each in given.items()}
+    if isinstance(given, (list, tuple, np.ndarray)) and np.ndim(given) == item_axes + 2:
+        array = np.asarray(given)
+        return array.reshape(-1, *array.shape[2:])
+    return given
+
+
+def of_experiments(base: Varied, experiments: int, count: int) -> Varied:
+    """Return model and start of all trajectories.   count : trajectories of an experiment."""
+    own, whole = base.batch_size, experiments * count
+    if own not in (1, count, whole):
+        several = f", {count} for all experiments" if count > 1 else ""
+        raise ArgumentError(
+            f"data has {experiments} experiments of {count} trajectories, and the problem with its "
+            f"start {own}; expected one for all{several}, or {whole}"
+        )
+    if own == 1 or own == whole:
+        tiled = np.arange(whole) if own == whole else np.zeros(whole, dtype=np.int64)
+    else:
+        tiled = np.tile(np.arange(count), experiments)
+    size = base.model.batch_size() or 1
+    model = base.model if size in (1, whole) else base.model.part(tiled)
+    return Varied(
+        model,
+        {k: _taken(x, tiled, 2) for k, x in base.poses.items()},
+        {k: _taken(x, tiled, 1) for k, x in base.twists.items()},
+    )
+
+
+def _taken(array: Array, which: Array, axes: int) -> Array:
+    if array.ndim == axes or len(array) == 1:
+        return np.broadcast_to(array, (len(which), *array.shape[-axes:])).copy()
+    return np.asarray(array[which])

@@ -1,0 +1,178 @@
+"""Result of many fits side by side: estimates, covariances, and their scatter."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+from numpy.typing import NDArray
+
+from lierb.analysis.identifiability import Direction
+from lierb.lie import se3
+from lierb.model.mechanism.mechanism import Mechanism
+from lierb.model.problem import Problem
+from lierb.results.columns import numbers, texts, vectors
+from lierb.support.arrays import Array
+from lierb.support.representations import FAILED, Lines, Represented, counted
+
+MOST_LISTED = 40  # numbers in the table of a description
+
+
+@dataclass(frozen=True, repr=False, eq=False)
+class Fits(Represented):
+    """Estimates of many experiments by `lierb.fits`, with their uncertainties.
+
+    Arrays have an axis of fits, (n, …). An axis of trajectories, (n, m, …), follows for starts of
+    experiments of several trajectories. The estimate of a fit whose first run fails is NaN; one
+    that has not converged is the last point of its iteration: take those of `converged`.
+
+    Attributes
+    ----------
+    estimate : dict of ndarray
+        Numbers of each parameter, by name, (n, k); those of a start are (n, 6) or (n, 3), a pose
+        (n, 4, 4).
+    standard_errors : dict of ndarray
+        Standard deviation of each number, likewise; of a pose (n, 6), of ε in C exp ε. Infinite
+        for numbers that the data of this experiment do not tell.
+    covariance : ndarray, shape (n, p, p)
+        Covariance of all numbers, in the order of `labels`, of the directions that the data tell.
+    labels : tuple of str
+        Name of each number, such as "body.inertia[12]", or "omega0[3][0]" for trajectory 3.
+    chi2 : ndarray, shape (n,)
+        Sum of the squares of all residuals, each divided by its `sigma` if there is one.
+    freedoms : ndarray, shape (n,)
+        Number of residuals minus number of directions that the data tell.
+    converged : ndarray, shape (n,)
+        True for estimates that are minima, to the tolerance.
+    status : tuple of str
+        Reason why each iteration has ended.
+    iterations : ndarray, shape (n,)
+        Number of runs after that of the guess.
+    not_told : ndarray, shape (n,)
+        Number of directions that the data of each experiment do not tell.
+    unidentifiable : tuple of Direction
+        These directions of the first such experiment, each with `changes` and a `sentence`.
+    problem : Problem or Mechanism
+        The problem with the estimated numbers of all trajectories, experiment by experiment.
+    start : dict
+        Keywords pose0, twist0 and t0 of `lierb.integrate`, with the estimated starts.
+    """
+
+    estimate: dict[str, Array]
+    standard_errors: dict[str, Array]
+    covariance: Array
+    labels: tuple[str, ...]
+    chi2: Array
+    freedoms: NDArray[np.int64]
+    converged: NDArray[np.bool_]
+    status: tuple[str, ...]
+    iterations: NDArray[np.int64]
+    not_told: NDArray[np.int64]
+    unidentifiable: tuple[Direction, ...]
+    problem: Problem | Mechanism
+    start: dict[str, Any]
+    units: dict[str, str]
+
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        """Return the names of the parameters."""
+        return tuple(self.estimate)
+
+    @property
+    def reduced_chi2(self) -> Array:
+        """Return chi2 over `freedoms`, (n,), about 1 for noise of the given sigma."""
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.where(self.freedoms > 0, self.chi2 / self.freedoms, np.nan)
+
+    @cached_property
+    def scatter(self) -> dict[str, Array]:
+        """Return the standard deviations of the estimates over all converged fits, by name.
+
+        Deviations of a pose are log(C₀⁻¹C), with the first converged fit's C₀.
+        """
+        return {name: self._scatter(name) for name in self.estimate}
+
+    @property
+    def ratio(self) -> dict[str, Array]:
+        """Return the scatter over the root mean square of the standard errors, by name.
+
+        It is about 1 if all experiments measure the same numbers and linear theory holds.
+        """
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return {
+                name: each / np.sqrt(np.mean(self.standard_errors[name][self.converged] ** 2, 0))
+                for name, each in self.scatter.items()
+            }
+
+    @property
+    def table(self) -> pa.Table:
+        """Return a table with a row for each fit.
+
+        Columns are "fit", "converged", "status", "chi2", "freedoms", "iterations", "not_told" and
+        two for each parameter: its name, and with ".error" the standard errors. Metadata have the
+        units.
+        """
+        n = len(self.chi2)
+        columns = {
+            "fit": numbers(np.arange(n)), "converged": pc.not_equal(
+                numbers(self.converged.astype(np.int8)), 0),
+            "status": texts(self.status), "chi2": numbers(self.chi2),
+            "freedoms": numbers(self.freedoms), "iterations": numbers(self.iterations),
+            "not_told": numbers(self.not_told),
+        }  # fmt: skip
+        fields = [pa.field(name, column.type) for name, column in columns.items()]
+        for name in self.estimate:
+            for label, values in (
+                (name, self.estimate[name]), (f"{name}.error", self.standard_errors[name])
+            ):  # fmt: skip
+                flat = values.reshape(n, -1)
+                columns[label] = numbers(flat) if flat.shape[1] == 1 else vectors(flat)
+                unit = {b"unit": self.units[name]}
+                fields.append(pa.field(label, columns[label].type, metadata=unit))
+        return pa.Table.from_arrays(list(columns.values()), schema=pa.schema(fields))
+
+    def _scatter(self, name: str) -> Array:
+        values = self.estimate[name][self.converged]
+        if name.endswith("pose0") and len(values):
+            values = se3.log(se3.inverse(values[:1]) @ values)
+        if len(values) < 2:
+            return np.full(self.standard_errors[name].shape[1:], np.nan)
+        return np.asarray(np.std(values, axis=0, ddof=1))
+
+    # ---- description ---------------------------------------------------------------------------
+
+    def _representation(self) -> tuple[str, Lines]:
+        n, good = len(self.chi2), int(self.converged.sum())
+        title = f"lierb.Fits: {counted(n, 'fit')} of {counted(len(self.labels), 'number')}"
+        rows = [("converged", f"{good} of {n}")]
+        if good < n:
+            i = int(np.argmin(self.converged))
+            rows.append((FAILED, f"{n - good} of {n}, the first is fit {i}: {self.status[i]}"))
+        if good:
+            mean = np.mean(self.reduced_chi2[self.converged])
+            rows.append(("chi2", f"{mean:.4g} per freedom, the mean of all that have converged"))
+        if len(some := np.flatnonzero(self.not_told)):
+            first = "; ".join(each.sentence for each in self.unidentifiable)
+            rows.append(("not told", f"in {counted(len(some), 'fit')}, in fit {some[0]}: {first}"))
+        return title, [*rows, *self._numbers()]
+
+    def _numbers(self) -> Iterator[tuple[str, str]]:
+        if not self.converged.any():
+            return
+        lines = [line for name in self.estimate for line in self._lines(name)]
+        yield from lines[:MOST_LISTED]
+        if len(lines) > MOST_LISTED:
+            yield "…", counted(len(lines) - MOST_LISTED, "more number")
+
+    def _lines(self, name: str) -> Iterator[tuple[str, str]]:
+        labels = [label for label in self.labels if label.partition("[")[0] == name]
+        ratios, scatter = (np.ravel(each[name]) for each in (self.ratio, self.scatter))
+        means = np.ravel(np.mean(self.estimate[name][self.converged], axis=0))
+        for i, label in enumerate(labels):
+            mean = "mean pose" if name.endswith("pose0") else f"mean {means[i]:.6g}"
+            yield label, f"{mean}, scatter {scatter[i]:.2g}, {ratios[i]:.3g} standard errors"
