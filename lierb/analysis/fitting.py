@@ -72,7 +72,7 @@ def fit(
         Pairs (low, high) by parameter. An inertia needs none: it stays that of a rigid body.
     twist0 : array_like, shape (6,) or (n, 6), or dict of them, optional
         Twist at t0, or its guess, as in `integrate`.
-    pose0 : array_like or RigidTransform, shape (4, 4) or (n, 4, 4), or dict of them, optional
+    pose0 : array_like, Rotation or RigidTransform, (4, 4) or (n, 4, 4), or dict of them, optional
         Pose at t0, or its guess, as in `integrate`.
     t0 : float, optional
         Start time, s.
