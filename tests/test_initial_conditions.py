@@ -247,7 +247,10 @@ def test_closed_joint_is_meant_where_no_pose_is_given():
     [
         ({"velocities": (1.0,), "omega": (0, 0, 1)}, "velocities or omega"),
         ({"velocities": (1.0,), "point_velocity": (0, 0, 1)}, "velocities or point_velocity"),
-        ({"velocities": (1.0, 2.0)}, r"velocities has shape \(2,\); expected \(1,\).* of phi"),
+        (
+            {"velocities": ((1.0, 2.0),)},
+            r"velocities has shape \(1, 2\); expected a number.* of phi",
+        ),
         ({"velocities": (1.0,), "pose": np.eye(4), "coordinates": (1.0,)}, "pose or coordinates"),
         ({"velocities": np.ones((2, 1)), "coordinates": np.ones((4, 1))}, "differ in their number"),
     ],
@@ -315,10 +318,33 @@ def test_rotation_in_place_of_a_pose_is_told_both_ways(shape):
             call()
 
 
+def test_a_single_coordinate_may_be_a_number():
+    hinge = joint("revolute")
+    np.testing.assert_array_equal(hinge.pose(0.5), hinge.pose([0.5]))
+    np.testing.assert_array_equal(hinge.pose(coordinates=[0.1, 0.2]), hinge.pose([[0.1], [0.2]]))
+    np.testing.assert_array_equal(
+        hinge.twist(velocities=2.0, coordinates=0.5), hinge.twist(velocities=[2.0])
+    )
+    with pytest.raises(ArgumentError, match=r"expected \(2,\) or \(n, 2\), of alpha, beta"):
+        joint("universal").pose(0.5)
+
+
 def test_frames_take_rotations():
     held = lierb.joints.revolute(body_frame=TURN, ground_frame=TURN)
     np.testing.assert_array_equal(held.body_frame[:3, :3], TURN.as_matrix())
     np.testing.assert_array_equal(held.ground_frame[:3, 3], np.zeros(3))
+
+
+@pytest.mark.parametrize(
+    "function",
+    [
+        lierb.integrate, lierb.fit, lierb.propagate, lierb.predict, lierb.convergence,
+        lierb.Problem.close, lierb.joints.JointType.__call__, lierb.joints.from_rows,
+        lierb.joints.Joint.coordinates,
+    ],
+)  # fmt: skip
+def test_docstrings_of_poses_and_frames_mention_rotations(function):
+    assert ": array_like, Rotation or RigidTransform, " in function.__doc__
 
 
 # ---- closing -----------------------------------------------------------------------------------

@@ -11,7 +11,8 @@ from lierb.errors import ArgumentError
 from lierb.kernels.groups import se3
 from lierb.model.forces.motors import PositionMotor, motor
 from lierb.model.joints import catalogue
-from lierb.model.joints.coordinates import motions_of, numbers_of
+from lierb.model.joints.coordinates import motions_of
+from lierb.model.joints.motions import as_coordinates
 from lierb.model.mechanism.closing import closed
 from lierb.model.mechanism.row_system import System
 from lierb.support.arrays import Array, components, pose_components, pose_matrix
@@ -58,7 +59,7 @@ def _coordinates(mechanism: TreeKinematics, name: str, value: Any) -> Array:
     motions = motions_of(joint)
     if motions is None:
         raise ArgumentError(f"hold[{name!r}]: a {joint.name} joint has no coordinates to hold")
-    return numbers_of(f"hold[{name!r}]", value, motions.names)
+    return as_coordinates(f"hold[{name!r}]", value, motions.names)
 
 
 def _held(mechanism: TreeKinematics, places: dict[str, Array]) -> TreeKinematics:

@@ -18,8 +18,8 @@ from lierb.kernels.mechanics.newton_euler import SE3, BodyConstants, Parameters
 from lierb.kernels.numbers.vec import ZERO6, Vec, add, sub
 from lierb.model.base import numbers_of, parameters_of
 from lierb.model.connections import NOWHERE, Connection
-from lierb.model.joints import coordinates as joint_coordinates
 from lierb.model.joints.coordinates import is_pose, is_rigid, motions_of, relative_of
+from lierb.model.joints.motions import as_coordinates
 from lierb.model.mechanism.links import ByLink
 from lierb.model.mechanism.tree import Tree
 from lierb.support.arrays import (
@@ -230,7 +230,7 @@ class TreeKinematics(Tree):
             relative: Vec = ZERO6
             if motions:
                 number = given.get(link.name, 0.0)
-                rates = joint_coordinates.numbers_of(argument, number, motions.names)
+                rates = as_coordinates(argument, number, motions.names)
                 sizes[argument] = rates, 1
                 self.batch_size(**sizes)
                 relative = motions.twist(components(rates), self.relative(at, poses))
