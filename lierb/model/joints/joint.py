@@ -300,8 +300,8 @@ class Joint(Represented):
         Parameters
         ----------
         place : array_like or Rotation, optional
-            Coordinates or rotation; of a joint with one coordinate, a number or (n,). An ambiguous shape is refused: (3, 3) is a matrix, or the
-            rotation vectors of three bodies.
+            Coordinates or rotation; a single coordinate may be a number or (n,). An ambiguous shape
+            is refused: (3, 3) is a matrix, or the rotation vectors of three bodies.
         coordinates : array_like, shape (k,) or (n, k), optional
             Coordinates, rad and m; see `coordinate_names`. A single one may be a number or (n,).
         rotation : array_like or Rotation, shape (3, 3) or (n, 3, 3), optional
