@@ -242,6 +242,22 @@ def test_closed_joint_is_meant_where_no_pose_is_given():
     np.testing.assert_allclose(twist, again, rtol=0, atol=1e-15)  # its pose is rounded
 
 
+@pytest.mark.parametrize("name", ["spherical", "free"])
+def test_rates_of_a_rotation_vector_are_its_derivative(name):
+    """Right: central differences of the pose. The docstrings say so."""
+    machine = lierb.Mechanism(lierb.Link("ball", BODY, joint(name)))
+    start = np.array((0.8, -0.5, 1.1, 0.1, 0.2, 0.3))[: len(joint(name).coordinate_names)]
+    rates, h = np.array((0.3, 1.0, -2.0, 1.0, 2.0, 3.0))[: len(start)], 1e-5
+    pose = machine.pose({"ball": start})
+    twist = machine.twist({"ball": rates}, pose)["ball"]
+    before, after = (machine.pose({"ball": start + s * h * rates})["ball"] for s in (-1.0, 1.0))
+    moving = np.linalg.solve(pose["ball"], after - before) / (2.0 * h)
+    found = [moving[2, 1], moving[0, 2], moving[1, 0], *moving[:3, 3]]
+    np.testing.assert_allclose(twist, found, rtol=0, atol=1e-8)  # h² of 30 1/s³, ε/h
+    for function in (lierb.Mechanism.twist, lierb.joints.Joint.twist):
+        assert "dξ/dt" in function.__doc__
+
+
 @pytest.mark.parametrize(
     ("given", "told"),
     [

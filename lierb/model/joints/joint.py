@@ -152,7 +152,8 @@ class Joint(Represented):
             Pose of the body. Default: the closed joint.
         velocities : array_like, shape (k,) or (n, k), optional
             Rates of the joint's coordinates, rad/s and m/s, instead of `omega` and
-            `point_velocity`; a single one may be a number or (n,).
+            `point_velocity`; a single one may be a number or (n,). Those of a rotation vector ξ are
+            dξ/dt, not ω.
         coordinates : array_like, shape (k,) or (n, k), optional
             Coordinates of the joint, instead of `pose`.
 

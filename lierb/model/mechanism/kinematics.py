@@ -201,9 +201,10 @@ class TreeKinematics(Tree):
         ----------
         velocities : dict, optional
             Rates of each link's joint, rad/s and m/s: (k,) or (n, k), or a number or (n,) for a
-            single coordinate. For a link whose joint has no coordinates, its body-fixed twist, (6,)
-            or (n, 6). Default: 0 for each missing link; without coordinates, it moves with its
-            parent.
+            single coordinate. Those of a ball or free joint are dξ/dt of its rotation vector ξ, not
+            ω; `Joint.velocities` converts a twist (ω, v) to them. For a link whose joint has no
+            coordinates, its body-fixed twist, (6,) or (n, 6). Default: 0 for each missing link;
+            without coordinates, it moves with its parent.
         pose : dict, optional
             Poses of all links. Default: all coordinates 0.
 
