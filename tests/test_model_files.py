@@ -440,7 +440,7 @@ def test_arm_stands_where_its_origins_put_it():
         f"joint {name}: limits -2.5 … 2.5"
         for name in ("base_yaw", "shoulder_pitch", "elbow", "wrist_pitch")
     )
-    others = "1 geoms that collide", "limits of effort and velocity of 4 joints"
+    others = "1 geom that collides", "limits of effort and velocity of 4 joints"
     assert left_out == (*limits, *others)
 
 
@@ -715,7 +715,7 @@ def test_c41_a_base_floats_or_is_fixed(tmp_path):
             path = tmp_path / f"{kind}.xml"
             path.write_text(text)
             made[kind, base], left_out = read(path, base=base)
-            assert ("1 keyframes" in left_out) == (kind == "free")
+            assert ("1 keyframe" in left_out) == (kind == "free")
     assert made["fixed", "free"].names == made["free", None].names == ("trunk", "leg")
     assert made["free", "fixed"].names == made["fixed", None].names == ("leg",)
     run = {"twist0": {"leg": (0.1, 0.2, 0.0, 0.0, 0.0, 0.0)}, "dt": 1e-3, "t_end": 0.3}
@@ -815,14 +815,14 @@ def test_a_range_of_zero_that_is_a_limit_is_refused_by_name(tmp_path):
 
 
 LEFT_OUT = {
-    "actuatorfrcrange": ('actuatorfrcrange="-1 1"', "", "1 joints with limits of their actuators"),
+    "actuatorfrcrange": ('actuatorfrcrange="-1 1"', "", "1 joint with limits of its actuators"),
     "tendon": (
-        "", '<tendon><fixed><joint joint="knee" coef="1"/></fixed></tendon>', "1 tendons",
+        "", '<tendon><fixed><joint joint="knee" coef="1"/></fixed></tendon>', "1 tendon",
     ),
-    "sensor": ("", '<sensor><jointpos joint="knee"/></sensor>', "1 sensors"),
-    "keyframe": ("", '<keyframe><key qpos="0 1"/></keyframe>', "1 keyframes"),
+    "sensor": ("", '<sensor><jointpos joint="knee"/></sensor>', "1 sensor"),
+    "keyframe": ("", '<keyframe><key qpos="0 1"/></keyframe>', "1 keyframe"),
     "pair": (
-        "", '<contact><pair geom1="ball" geom2="floor"/></contact>', "1 contact pairs",
+        "", '<contact><pair geom1="ball" geom2="floor"/></contact>', "1 contact pair",
     ),
     "fluid": ("", '<option density="1.2" wind="1 0 0"/>', "the fluid's density and viscosity"),
     "options": (
@@ -860,7 +860,7 @@ def test_each_kind_that_is_left_out_is_said(tmp_path, what):
 def test_gravity_compensation_is_said(tmp_path):
     path = one_body(tmp_path, "<joint/>")
     path.write_text(path.read_text().replace('name="body"', 'name="body" gravcomp="1"'))
-    assert read(path)[1] == ("1 bodies with gravcomp",)
+    assert read(path)[1] == ("1 body with gravcomp",)
 
 
 @pytest.mark.parametrize("flag", ["contact", "constraint", "frictionloss"])
@@ -869,7 +869,7 @@ def test_what_is_disabled_anyhow_is_not_left_out(tmp_path, flag):
         tmp_path, '<joint name="knee" frictionloss="0.1"/>', inside='<geom size="0.1"/>',
         outside=f'<option><flag {flag}="disable"/></option>',
     )  # fmt: skip
-    friction, contact = "joint knee: friction 0.1", "1 geoms that collide"
+    friction, contact = "joint knee: friction 0.1", "1 geom that collides"
     expected = {"contact": (friction,), "constraint": (), "frictionloss": (contact,)}
     assert read(path)[1] == expected[flag]
 
@@ -885,7 +885,7 @@ def test_what_is_left_out_is_said_once(tmp_path):
     _, left_out = read(path)
     assert left_out == (
         "joint knee: limits -1 … 1", "joint knee: friction 0.1", "joint knee: armature 0.01",
-        "equality 0: an equality that is not active", "1 geoms that collide", "1 actuators",
+        "equality 0: an equality that is not active", "1 geom that collides", "1 actuator",
     )  # fmt: skip
     with pytest.warns(LeftOutWarning, match="left out are joint knee: limits -1 … 1; joint knee"):
         lierb.Mechanism.from_mjcf(path)

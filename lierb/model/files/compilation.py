@@ -14,6 +14,7 @@ from lierb.errors import ArgumentError, brief
 from lierb.model.files import inertials, urdf
 from lierb.model.files.welded_bodies import WORLD
 from lierb.support.extras import remedy
+from lierb.support.representations import counted
 
 if TYPE_CHECKING:
     from mujoco import MjModel, MjSpec
@@ -81,7 +82,7 @@ def _with_base(spec: MjSpec, base: str | None) -> list[str]:
     keys = list(spec.keys) if base else []  # their lengths are those of the file's coordinates
     for key in keys:
         spec.delete(key)
-    return [f"{len(keys)} keyframes"] if keys else []
+    return [counted(len(keys), "keyframe")] if keys else []
 
 
 def _elements_at_line(path: Any, message: str) -> str:
