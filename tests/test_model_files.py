@@ -732,6 +732,26 @@ def test_c41_a_base_floats_or_is_fixed(tmp_path):
         lierb.Mechanism.from_mjcf(path, base="floating")
 
 
+SCENERY = """<body name="table" pos="1 0 0"><geom type="box" size="1 1 0.1"/></body>
+  <body name="mark"/><body name="floor"><geom type="plane" size="1 1 1"/></body>
+  <body name="target" mocap="true"><geom size="0.1"/></body></worldbody>"""
+
+
+def test_c41_bodies_that_carry_no_joints_stay_on_the_ground(tmp_path):
+    """crocoddyl#979: the base floats, not the table, a mark without mass or a mocap body.
+
+    A drone has no joints: it floats, and a mark does not.
+    """
+    path = tmp_path / "scene.xml"
+    legs = LEGS.format(gravity="0 0 -9.81", joint="", keys="")
+    path.write_text(legs.replace("</worldbody>", SCENERY))
+    assert read(path, base="free")[0].names == ("trunk", "leg")
+    assert read(path, base="fixed")[0].names == ("leg",)
+    path.write_text("""<mujoco><worldbody><body name="drone"><body name="frame"><geom size="0.1"/>
+      </body></body><body name="mark"/></worldbody></mujoco>""")
+    assert read(path, base="free", merge_fixed=True)[0].names == ("drone",)
+
+
 def test_c41_the_root_of_a_urdf_floats(tmp_path):
     """The root has its mass; the momentum of all stays. Right: gravity's impulse."""
     text = """<robot name="r"><link name="trunk"><inertial><origin xyz="0.05 0 0.1"/>

@@ -106,8 +106,10 @@ class Mechanism(TreeKinematics):
         path : path
             The file. Paths of included files and meshes are relative to it.
         base : {"free", "fixed"}, optional
-            With "free", bodies that the file puts on the ground without a joint move freely; with
-            "fixed", free joints on the ground are removed. Default: as in the file.
+            With "free", bodies that the file puts on the ground without a joint, and that carry
+            bodies with joints, move freely; if no body has a joint, those with a mass. Others, such
+            as a floor or a mocap body, stay part of the ground. With "fixed", free joints on the
+            ground are removed. Default: as in the file.
         frames : {"file", "centre"}, optional
             With "centre", body frames are moved to the centres of mass, as cspace="SO3xR3" needs
             them; their axes stay. Default: those of the file.
