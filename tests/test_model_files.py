@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from jobs.page import names_of
 from scipy.spatial.transform import Rotation
 
 import lierb
@@ -988,3 +989,15 @@ def test_a_path_that_is_none_is_refused(tmp_path):
         lierb.Mechanism.from_urdf(tmp_path / "missing.urdf")
     with pytest.raises(ArgumentError, match="expected the path of a file"):
         lierb.Mechanism.from_urdf(17)
+
+
+def test_the_page_on_model_files_names_what_replaces_what_is_left_out(tmp_path):
+    """Its cells run: friction, an actuator and an armature that the file would have."""
+    with pytest.warns(LeftOutWarning):
+        names = names_of("../howto/model_files", tmp_path)
+    arm, driven = names["arm"], names["driven"]
+    added = [(force.name, *force.at) for force in driven.forces[len(arm.forces) :]]
+    friction = [("joint_friction", "upper"), ("joint_friction", "lower")]
+    assert added == [*friction, ("motor", "lower")]
+    more = driven.link("upper").body.inertia - arm.link("upper").body.inertia
+    np.testing.assert_allclose(more, 0.003 * np.eye(3), rtol=0, atol=1e-16)
