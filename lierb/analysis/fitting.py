@@ -234,7 +234,8 @@ def _report(task: Task, solution: Any, evaluations: int) -> Fit:
         estimate=_estimate(task), standard_errors=_by_parameter(task, deviations),
         covariance=covariance, labels=unknowns.labels, unidentifiable=_untold(unknowns, told),
         problem=model, start={**varied.start, "t0": task.variation.t0}, result=result,
-        t=task.data.t, residuals=residuals, chi2=chi2, freedoms=freedoms,
+        t=task.data.t, residuals=residuals, has_sigma=task.data.has_sigma,
+        chi2=chi2, freedoms=freedoms,
         converged=bool(solution.status > 0), status=_status(solution), evaluations=evaluations,
     )  # fmt: skip
 
