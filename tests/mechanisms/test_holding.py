@@ -1,9 +1,12 @@
 """Assemblies whose joints are held, against geometry by hand."""
 
+from contextlib import contextmanager
+
 import numpy as np
 import pytest
 
 import lierb
+from lierb.model.mechanism import closing, holding
 
 GROUND, CRANK, COUPLER, ROCKER = 0.4, 0.1, 0.35, 0.3
 TURNING = {"axis": (0.0, 0.0, 1.0)}
@@ -108,3 +111,56 @@ def test_joints_with_several_coordinates_and_slides_are_held():
     np.testing.assert_allclose(found["ball"], hold["ball"], atol=1e-13)
     ends = (closed["stay"][:3, :] - closed["ball"][:3, :]) @ [0.1, 0.0, 0.0, 1.0]
     assert np.linalg.norm(ends) == pytest.approx(0.4, abs=1e-12)
+
+
+@pytest.fixture
+def counted(monkeypatch):
+    """Numbers of assemblies that progress is reported of, and their total."""
+    seen = []
+
+    @contextmanager
+    def reporter(progress, total, of):
+        yield lambda done: seen.append((done, total))
+
+    for module in (closing, holding):
+        monkeypatch.setattr(module, "reporter", reporter)
+    return seen
+
+
+def test_angles_go_the_shorter_way(counted):
+    """From 0.5 to 0.3 + 40 turns: two steps of 0.1 rad, for each of three crank angles."""
+    bars = four_bar()
+    rough = bars.pose({"crank": 0.5, "coupler": 0.4, "rocker": 1.9})
+    angles = 0.3 + 2.0 * np.pi * np.array([40.0, -40.0, 0.0])
+    pose = bars.close(rough, hold={"crank": angles})
+    assert counted == [(3, 6), (6, 6)]
+    bars.close(pose)
+    assert counted[2:] == [(3, 3)]
+    for i in range(3):
+        # 40 turns of rounding
+        np.testing.assert_allclose(found_pin(pose)[i], pin_of(0.3, 1), atol=1e-12)
+
+
+def test_rotation_vectors_go_the_shorter_way(counted):
+    box = lierb.bodies.box((0.1, 0.1, 0.1), mass=1.0)
+    ball = lierb.Mechanism(lierb.Link("ball", box, lierb.joints.spherical(body_point=(-0.2, 0, 0))))
+    axis, start = np.array((0.6, 0.0, 0.8)), (0.6, 0.1, 0.8)
+    pose = ball.close(ball.pose({"ball": start}), hold={"ball": (0.9 - 6.0 * np.pi) * axis})
+    assert counted == [(1, 1)]
+    right = ball.pose({"ball": 0.9 * axis})["ball"]
+    np.testing.assert_allclose(pose["ball"], right, rtol=0, atol=1e-14)
+
+
+def test_whole_turns_count_beside_a_gear_and_on_a_screw(counted):
+    wheel = lierb.bodies.cylinder(0.1, 0.02, mass=1.0)
+    links = [
+        lierb.Link("left", wheel, lierb.joints.revolute()),
+        lierb.Link("right", wheel, lierb.joints.revolute(ground_point=(0.3, 0.0, 0.0))),
+    ]
+    pair = lierb.Mechanism(links, forces=lierb.forces.gear(ratio=2.0).on("left", "right"))
+    turned = pair.close(pair.pose(), hold={"left": 2.0 * np.pi})
+    right = pair.coordinates(turned)["right"].item()
+    assert abs(right) == pytest.approx(np.pi, rel=1e-12)
+    nut = lierb.Mechanism(lierb.Link("nut", wheel, lierb.joints.screw(pitch=0.01)))
+    raised = nut.close(nut.pose(), hold={"nut": 2.0 * np.pi})["nut"]
+    assert raised[2, 3] == pytest.approx(0.02 * np.pi, rel=1e-12)

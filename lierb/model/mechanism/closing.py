@@ -9,6 +9,7 @@ depend on the other members.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from contextlib import nullcontext
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -36,6 +37,7 @@ from lierb.model.mechanism.row_system import (
     wrong_way,
 )
 from lierb.support.arrays import Array, assembled, pose_components, pose_matrix
+from lierb.support.progress import reporter
 
 if TYPE_CHECKING:
     from lierb.model.mechanism.kinematics import TreeKinematics
@@ -47,6 +49,9 @@ DAMPING = 1e-2
 MISSED = 0.1 * START_TOLERANCE  # largest residual of a projected twist, relative to the speed
 CONTRADICTION = 1e-6  # largest residual of rows with prescribed rates, relative to these
 MOST_NUMBERS = 2**22  # largest number of entries of the matrices that are decomposed at once
+
+
+ASSEMBLIES = "assemblies"  # unit of progress
 
 
 class Mobility(NamedTuple):
@@ -109,10 +114,23 @@ def _joined(parts: list[list[Array]], is_batch: bool) -> list[Array]:
 # ---- poses -------------------------------------------------------------------------------------
 
 
-def closed(mechanism: TreeKinematics, poses: list[Array], t0: float = 0.0) -> list[Array]:
-    """Return the nearest poses that close all joints and loops; closed poses are unchanged."""
+def closed(
+    mechanism: TreeKinematics,
+    poses: list[Array],
+    t0: float = 0.0,
+    report: Callable[[int], None] | None = None,
+) -> list[Array]:
+    """Return the nearest poses that close all joints and loops; closed poses are unchanged.
+
+    report : function of the number of members done; None for a progress bar.
+    """
     parts = _parts(mechanism, [("pose", poses, 2)])
-    results = [_closed(part, t0) for part in parts]
+    results = []
+    shown = nullcontext(report) if report else reporter(None, parts[0].count, ASSEMBLIES)
+    with shown as show:
+        for part in parts:
+            results.append(_closed(part, t0))
+            show(part.first + len(part.arrays[0]))
     if not any(has_moved for _, has_moved in results):
         return poses
     return _joined([arrays for arrays, _ in results], parts[0].is_batch)
