@@ -36,15 +36,15 @@ def closed_at(mechanism: TreeKinematics, poses: list[Array], hold: Any, t0: floa
     step before. Angles go the shorter way, unless whole turns count.
     """
     ends = {
-        name: _coordinates(mechanism, name, value)
+        name: coordinates_of(mechanism, name, value)
         for name, value in mechanism.by_link("hold", hold, is_whole=False).items()
     }
     before = mechanism.coordinates(dict(zip(mechanism.names, poses, strict=True)))
     starts = {name: before[name] for name in ends}
     length = float(np.max(System(mechanism, 1).length))
-    held = {f"hold[{name!r}]": (end, 1) for name, end in ends.items()}
+    ended = {f"hold[{name!r}]": (end, 1) for name, end in ends.items()}
     given = {f"pose[{i}]": (pose, 2) for i, pose in enumerate(poses)}
-    count = mechanism.batch_size(**held, **given) or 1
+    count = mechanism.batch_size(**ended, **given) or 1
     ways, steps = {}, 1
     for name, end in ends.items():
         names = mechanism.link(name).joint.coordinate_names
@@ -60,7 +60,7 @@ def closed_at(mechanism: TreeKinematics, poses: list[Array], hold: Any, t0: floa
             for name, end in ends.items()
         }
         done = (step - 1) * count
-        return closed(_held(mechanism, places), poses, t0, lambda n: report(done + n))
+        return closed(held(mechanism, places), poses, t0, lambda n: report(done + n))
 
     with reporter(None, steps * count, ASSEMBLIES) as report:
         for step in range(1, steps + 1):
@@ -91,7 +91,7 @@ def _whole_turns(start: Array, end: Array, names: tuple[str, ...]) -> Array:
     return excess
 
 
-def _coordinates(mechanism: TreeKinematics, name: str, value: Any) -> Array:
+def coordinates_of(mechanism: TreeKinematics, name: str, value: Any) -> Array:
     """Check the coordinates of a held joint; (k,) or (n, k)."""
     joint = mechanism.link(name).joint
     motions = motions_of(joint)
@@ -100,7 +100,7 @@ def _coordinates(mechanism: TreeKinematics, name: str, value: Any) -> Array:
     return as_coordinates(f"hold[{name!r}]", value, motions.names)
 
 
-def _held(mechanism: TreeKinematics, places: dict[str, Array]) -> TreeKinematics:
+def held(mechanism: TreeKinematics, places: dict[str, Array]) -> TreeKinematics:
     """Return the mechanism with joints held: by a motor, or fixed if they have more coordinates.
 
     Gears act between moving joints, so a joint with one coordinate is not fixed.

@@ -12,6 +12,7 @@ from lierb.errors import LeftOutWarning, LierbError
 from lierb.kernels.systems.plan import UNSTABILISED, MechanismPlan
 from lierb.model.files import mujoco as model_files
 from lierb.model.formulation import Formulation
+from lierb.model.mechanism.branches import assemblies_at
 from lierb.model.mechanism.closing import Mobility, closed, mobility, projected
 from lierb.model.mechanism.holding import closed_at
 from lierb.model.mechanism.kinematics import TreeKinematics
@@ -274,6 +275,70 @@ class Mechanism(TreeKinematics):
         given, time = self.pose_arrays("pose", pose), as_number("t0", t0)
         with np.errstate(all="ignore"):  # with an overflow it does not converge
             poses = closed_at(self, given, hold, time) if hold else closed(self, given, time)
+        return self._checked("the closed pose", poses)
+
+    def assemblies(
+        self,
+        hold: ByLink | None = None,
+        *,
+        pose: ByLink | None = None,
+        starts: int = 200,
+        t0: float = 0.0,
+    ) -> dict[str, Array]:
+        """Search for all poses that close the loops at given coordinates of joints.
+
+        All other joints start at random coordinates, the same ones in every call, and each start is
+        closed as by `close`. Poses that agree to 1e-5 are one. This is a search, which may miss
+        assemblies that few starts lead to: more starts find more of them. `close` follows a branch
+        from its pose to other coordinates.
+
+        Parameters
+        ----------
+        hold : dict, optional
+            Coordinates of joints by link, as in `close`, of one member. All freedoms must be held.
+        pose : dict, optional
+            Poses of all links, from which the order counts. Default: all coordinates 0.
+        starts : int, optional
+            Number of random starts.
+        t0 : float, optional
+            Time at which the positions of motors are evaluated, s.
+
+        Returns
+        -------
+        dict of ndarray, shape (k, 4, 4)
+            Poses of each link in the k assemblies, the nearest to `pose` first.
+
+        Raises
+        ------
+        ArgumentError
+            The mechanism is a batch or has gears, or the links can still move.
+        PoseError
+            No start comes to close.
+
+        Examples
+        --------
+        >>> import lierb
+        >>> rod = lierb.bodies.rod(1.0, 0.01, mass=1.0)
+        >>> turning = dict(axis=(0.0, 1.0, 0.0))
+        >>> bar = lierb.Link("bar", rod, lierb.joints.revolute((0.0, 0.0, 0.5), **turning))
+        >>> strut = lierb.Link(
+        ...     "strut", rod, lierb.joints.revolute((0.0, 0.0, 0.5), (1.0, 0.0, 0.0), **turning)
+        ... )
+        >>> tie = lierb.Loop(
+        ...     "tie",
+        ...     lierb.joints.revolute((0.0, 0.0, -0.5), parent_point=(0.0, 0.0, -0.5), **turning),
+        ...     "strut",
+        ...     "bar",
+        ... )
+        >>> truss = lierb.Mechanism([bar, strut], tie)
+        >>> both = truss.assemblies()
+        >>> truss.coordinates(both)["bar"].round(6).tolist()  # −π/6 and −5π/6
+        [[-0.523599], [-2.617994]]
+        """
+        near = self.pose() if pose is None else pose
+        arrays = dict(zip(self.names, self.pose_arrays("pose", near), strict=True))
+        with np.errstate(all="ignore"):
+            poses = assemblies_at(self, hold, arrays, starts, as_number("t0", t0))
         return self._checked("the closed pose", poses)
 
     def project(
