@@ -338,11 +338,14 @@ WORM = """<mujoco><compiler autolimits="true" {settings}/><worldbody>
 @pytest.mark.skipif(
     not hasattr(mujoco.MjSpec, "adopt_inertial"), reason="no inertials of geoms in this release"
 )
-@pytest.mark.parametrize("length", [100.0, 1.0, 1e-3, 1e-6])
-def test_bodies_of_any_size_are_read(tmp_path, length):
+@pytest.mark.parametrize(
+    ("length", "settings"),
+    [(100.0, ""), (1.0, ""), (1e-3, ""), (1e-6, ""), (1e-3, 'inertiafromgeom="true"')],
+)
+def test_bodies_of_any_size_are_read(tmp_path, length, settings):
     """Capsule and box of 1000 kg/m³ in closed form; MuJoCo takes no moment below 1e-15 kg m²."""
     path, r = tmp_path / "worm.xml", 0.05 * length
-    path.write_text(WORM.format(length=length, radius=r, settings=""))
+    path.write_text(WORM.format(length=length, radius=r, settings=settings))
     head, tail = (link.body for link in read(path)[0].links)
     rod, ball = 1e3 * np.pi * r**2 * length, 1e3 * 4 / 3 * np.pi * r**3
     np.testing.assert_allclose(head.mass, rod + ball, rtol=1e-13)
@@ -363,9 +366,11 @@ def test_bodies_of_any_size_are_read(tmp_path, length):
 
 
 def test_a_size_that_no_release_can_read_is_refused_by_name(tmp_path):
-    """`inertiafromgeom="true"` leaves no room for an inertial in the file's stead."""
+    """`inertiafromgeom="true"` overrides the inertial of the file, which no inertial replaces."""
     path = tmp_path / "worm.xml"
-    path.write_text(WORM.format(length=1e-3, radius=5e-5, settings='inertiafromgeom="true"'))
+    text = WORM.format(length=1e-3, radius=5e-5, settings='inertiafromgeom="true"')
+    inertial = '<inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>'
+    path.write_text(text.replace('<body name="head">', f'<body name="head">{inertial}'))
     with pytest.raises(ArgumentError, match="mjMINVAL Element name 'head'"):
         read(path)
 
