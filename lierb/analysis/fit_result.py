@@ -100,9 +100,10 @@ class Fit(Represented):
 
         Without sigma nothing is known of the noise.
         """
+        if not self.has_sigma or self.freedoms <= 0:
+            return ""
         reduced = self.reduced_chi2
-        is_explained = not reduced > max(MISFIT, 1.0 + DEVIATIONS * np.sqrt(2.0 / self.freedoms))
-        if is_explained or not self.has_sigma:
+        if not reduced > max(MISFIT, 1.0 + DEVIATIONS * np.sqrt(2.0 / self.freedoms)):
             return ""
         return (
             f"the model does not explain the data: residuals are {np.sqrt(reduced):.3g} times "

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -295,6 +296,7 @@ def test_a_model_that_does_not_explain_the_data_is_said_to():
     assert "A force may be missing" in wrong.misfit
     assert "does not explain the data: residuals are" in repr(wrong)
     assert fitted(pendulum(0.1, 0.0), data, DAMPING).misfit == ""
+    assert replace(wrong, freedoms=0).misfit == ""  # as many unknowns as samples
 
 
 @pytest.mark.slow
