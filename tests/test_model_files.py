@@ -636,6 +636,7 @@ def test_other_joints_allow_the_same_poses(tmp_path, name):
     np.testing.assert_allclose(again["body"], pose["body"], atol=ROUNDING)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "joints",
     [
@@ -667,6 +668,7 @@ def test_joints_that_are_none_of_the_catalogue_have_links_without_mass_between_t
     np.testing.assert_allclose(result["body"].rotation[0].ravel(), place.xmat, rtol=0, atol=1e-10)
 
 
+@pytest.mark.slow
 def test_c24_a_mobile_base_may_have_carriages_without_mass(tmp_path):
     """Genesis#3185, drake#13903, pinocchio#60: slides of a base, merged by hand or refused.
 
