@@ -51,7 +51,7 @@ class LoopForces(LoopMeasures):
         put_multipliers_at: Callable[[Index, Vec], None],
         put_reaction: Callable[[Index, Vec], None],
     ) -> None:
-        """Call functions of each column and its λ, and of each joint and its wrench, if recorded."""
+        """Call functions of a column and its λ, and of a joint and its wrench, if recorded."""
         tree = self._tree(body)
         self._stay(tree)
         self._call_rates(body, self._spare(tree), time)

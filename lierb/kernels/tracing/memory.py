@@ -41,7 +41,7 @@ class Rows:
         self.start = start if first == 0 else self._at(start, first)
 
     def _at(self, start: ir.Value, row: Index | int, part: int = 0) -> ir.Value:
-        place = row * self.packs + part
+        place = row if self.packs == 1 else row * self.packs + part
         offset = place.value if isinstance(place, Index) else ir.IntType(64)(place)
         return self.trace.builder.gep(start, [offset])
 
