@@ -13,9 +13,11 @@ from lierb.kernels.mechanics.newton_euler import CSPACES, SE3, SO3xR3
 from lierb.kernels.mechanics.rows import Row, Rows
 from lierb.kernels.mechanics.tree import GROUND, Connection, Node
 from lierb.kernels.mechanics.tree_nodes import JointKind, Kind
+from lierb.kernels.systems.layout import DIRECTIONS
 from lierb.kernels.systems.scheme import ExplicitScheme, Scheme, StagedScheme
 
 UPDATES = ("local", "global", "ambient")
+EVERYTHING = ("inputs",)  # `moving` of looped code, in which all inputs have derivatives
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,6 +53,11 @@ class AnyPlan(Tag):
             """Rows of all joints."""
 
     is_looped: ClassVar[bool] = False  # True if the size of the system is known at run time only
+
+    @property
+    def directions(self) -> int:
+        """Number of derivatives that a run carries."""
+        return DIRECTIONS if self.moving else 0
 
     @property
     def code(self) -> AnyPlan:
@@ -242,6 +249,7 @@ class MechanismPlan(AnyPlan):
         if not self.is_in_memory:
             return self
         common = {field.name: getattr(self, field.name) for field in fields(AnyPlan)}
+        common["moving"] = EVERYTHING if self.moving else ()
         kinds = tuple(dict.fromkeys(self.element_kinds))
         acting = tuple(k for k in kinds if not k.element.is_passive)
         looped = (kind.element for kind in acting if not kind.element.is_listed)

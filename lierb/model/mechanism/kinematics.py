@@ -18,8 +18,8 @@ from lierb.kernels.mechanics.newton_euler import SE3, BodyConstants, Parameters
 from lierb.kernels.numbers.vec import ZERO6, Vec, add, sub
 from lierb.model.base import numbers_of, parameters_of
 from lierb.model.connections import NOWHERE, Connection
-from lierb.model.joints import coordinates as joint_coordinates
 from lierb.model.joints.coordinates import is_pose, is_rigid, motions_of, relative_of
+from lierb.model.joints.motions import as_coordinates
 from lierb.model.mechanism.links import ByLink
 from lierb.model.mechanism.tree import Tree
 from lierb.support.arrays import (
@@ -201,9 +201,10 @@ class TreeKinematics(Tree):
         ----------
         velocities : dict, optional
             Rates of each link's joint, rad/s and m/s: (k,) or (n, k), or a number or (n,) for a
-            single coordinate. For a link whose joint has no coordinates, its body-fixed twist, (6,)
-            or (n, 6). Default: 0 for each missing link; without coordinates, it moves with its
-            parent.
+            single coordinate. Those of a ball or free joint are dξ/dt of its rotation vector ξ, not
+            ω; `Joint.velocities` converts a twist (ω, v) to them. For a link whose joint has no
+            coordinates, its body-fixed twist, (6,) or (n, 6). Default: 0 for each missing link;
+            without coordinates, it moves with its parent.
         pose : dict, optional
             Poses of all links. Default: all coordinates 0.
 
@@ -230,7 +231,7 @@ class TreeKinematics(Tree):
             relative: Vec = ZERO6
             if motions:
                 number = given.get(link.name, 0.0)
-                rates = joint_coordinates.numbers_of(argument, number, motions.names)
+                rates = as_coordinates(argument, number, motions.names)
                 sizes[argument] = rates, 1
                 self.batch_size(**sizes)
                 relative = motions.twist(components(rates), self.relative(at, poses))

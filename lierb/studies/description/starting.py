@@ -16,8 +16,9 @@ from lierb.kernels.groups import se3
 from lierb.kernels.mechanics.constraints import holds_a_point
 from lierb.kernels.numbers.vec import IDENTITY, ZERO6, Vec, add, mat_t_vec
 from lierb.model.connections import NOWHERE
-from lierb.model.joints.coordinates import motions_of, numbers_of
+from lierb.model.joints.coordinates import motions_of
 from lierb.model.joints.joint import Joint
+from lierb.model.joints.motions import as_coordinates
 from lierb.model.mechanism.mechanism import Mechanism
 from lierb.model.problem import Problem
 from lierb.support.arrays import (
@@ -206,4 +207,4 @@ def _numbers(argument: str, given: Any, names: tuple[str, ...]) -> Array:
             f"{argument} has {counted(len(given), 'number')}; expected {expected}, of "
             f"{', '.join(names)}"
         )
-    return numbers_of(argument, given, names)
+    return as_coordinates(argument, given, names)
