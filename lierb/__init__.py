@@ -46,9 +46,9 @@ __version__ = package_version()
 __all__ = [
     "TABLEAUS", "Body", "ButcherTableau", "Link", "Loop", "Mechanism", "Problem", "Result",
     "animate", "animation", "baumgarte", "bodies", "clip", "constraint", "controller",
-    "convergence", "errors", "event", "fit", "fits", "forces", "info", "integrate", "joints", "lie", "log",
-    "noise", "observable", "predict", "propagate", "quaternion", "sampling", "states", "table",
-    "turns", "variable_mass", "velocity_constraint", "warmup", "where", "wrench",
+    "convergence", "errors", "event", "fit", "fits", "forces", "info", "integrate", "joints",
+    "lie", "log", "noise", "observable", "predict", "propagate", "quaternion", "sampling", "states",
+    "table", "turns", "variable_mass", "velocity_constraint", "warmup", "where", "wrench",
 ]  # fmt: skip
 
 # Public names of modules: `from lierb.joints import revolute`.

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lierb.analysis.measurements import TIMES, Measurements, measurements
 from lierb.analysis.quantities import QUATERNION, quantity_named
@@ -100,7 +101,7 @@ def of_experiments(base: Varied, experiments: int, count: int) -> Varied:
     )
 
 
-def _taken(array: Array, which: Array, axes: int) -> Array:
+def _taken(array: Array, which: NDArray[np.int64], axes: int) -> Array:
     if array.ndim == axes or len(array) == 1:
         return np.broadcast_to(array, (len(which), *array.shape[-axes:])).copy()
     return np.asarray(array[which])

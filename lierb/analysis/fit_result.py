@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lierb.analysis.identifiability import Direction
 from lierb.errors import unknown_name
@@ -103,7 +104,7 @@ class Fit(Represented):
         if not self.has_sigma or self.freedoms <= 0:
             return ""
         reduced = self.reduced_chi2
-        if not reduced > max(MISFIT, 1.0 + DEVIATIONS * np.sqrt(2.0 / self.freedoms)):
+        if not is_misfit(reduced, self.freedoms):
             return ""
         return (
             f"the model does not explain the data: residuals are {np.sqrt(reduced):.3g} times "
@@ -191,3 +192,10 @@ class Fit(Represented):
         if name.endswith("pose0"):  # a matrix, whose deviations are those of a change
             return ["estimated"] * self.standard_errors[name].size
         return [f"{x:.7g}" for x in values.ravel()]
+
+
+def is_misfit(reduced: Any, freedoms: Any) -> NDArray[np.bool_]:
+    """Return True where noise of the given sigma cannot explain chi2 per freedom."""
+    with np.errstate(divide="ignore"):
+        most = np.maximum(MISFIT, 1.0 + DEVIATIONS * np.sqrt(2.0 / np.asarray(freedoms, float)))
+    return np.asarray(reduced > most)

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from lierb.analysis.fit_result import Fit
 from lierb.analysis.fit_task import Task
-from lierb.analysis.identifiability import Direction, Identified, described
+from lierb.analysis.identifiability import Direction, Identified, described, of_numbers
 from lierb.analysis.measurements import Measurements, measurements
 from lierb.analysis.quantities import records_of, require_derivatives
 from lierb.analysis.unknowns import Unknowns, guessed
@@ -226,9 +226,7 @@ def _report(task: Task, solution: Any, evaluations: int) -> Fit:
     differences, weighted = task.differences(result), task.weighted(result)
     chi2, freedoms = float(weighted @ weighted), len(weighted) - told.rank
     scale = 1.0 if task.data.has_sigma else chi2 / freedoms if freedoms else np.nan
-    covariance = scale * unknowns.spread @ told.covariance @ unknowns.spread.T
-    deviations = np.sqrt(np.diag(covariance))
-    deviations[np.any(unknowns.spread[:, ~told.is_known] != 0.0, axis=1)] = np.inf
+    covariance, deviations = of_numbers(told, unknowns.spread, scale)
     residuals = {
         column.quantity.name: np.where(column.present, off, np.nan)
         for column, off in zip(task.data.columns, differences, strict=True)
@@ -236,7 +234,10 @@ def _report(task: Task, solution: Any, evaluations: int) -> Fit:
     model: Any = varied.model
     return Fit(
         estimate=unknowns.estimate, standard_errors=unknowns.by_parameter(deviations),
-        covariance=covariance, labels=unknowns.labels, unidentifiable=described_directions(unknowns, told, unknowns.spread, unknowns.all_values),
+        covariance=covariance, labels=unknowns.labels,
+        unidentifiable=described_directions(
+            unknowns, told, unknowns.spread, unknowns.all_values
+        ),
         problem=model, start={**varied.start, "t0": task.variation.t0}, result=result,
         t=task.data.t, residuals=residuals, has_sigma=task.data.has_sigma,
         chi2=chi2, freedoms=freedoms,

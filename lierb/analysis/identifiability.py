@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -74,6 +74,11 @@ class Decomposed(NamedTuple):
     rows: Array
     is_told: NDArray[np.bool_]
 
+    def part(self, which: NDArray[Any]) -> Decomposed:
+        """Return the decompositions of some Jacobians of a stack."""
+        fields: tuple[Any, ...] = tuple(each[which] for each in self)
+        return Decomposed(*fields)
+
     @property
     def rank(self) -> NDArray[np.int64]:
         """Return the number of directions told, (…)."""
@@ -127,6 +132,19 @@ def identified(jacobian: Array, sizes: Array) -> Identified:
     is_known = is_felt.copy()
     is_known[is_felt] &= ~np.any(np.abs(together) > SHARE, axis=0)
     return Identified(parts.covariance, null, is_known, rank)
+
+
+def of_numbers(told: Identified | Decomposed, spread: Array, scale: Any) -> tuple[Array, Array]:
+    """Return covariance and standard deviations of numbers, infinite for those not known.
+
+    spread : matrix from unknowns to numbers, (…, numbers, unknowns).   scale : variance of the
+    residuals, (…).
+    """
+    scale = np.asarray(scale)[..., None, None]
+    covariance = scale * (spread @ told.covariance @ spread.swapaxes(-1, -2))
+    deviations = np.sqrt(np.diagonal(covariance, axis1=-2, axis2=-1))
+    is_open = np.any((spread != 0.0) & ~told.is_known[..., None, :], axis=-1)
+    return covariance, np.where(is_open, np.inf, deviations)
 
 
 def _complement(rows: Array) -> Array:

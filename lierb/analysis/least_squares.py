@@ -59,7 +59,8 @@ def triangular(rows: Array) -> Array:
         if missing:
             rows = np.pad(rows, ((0, 0), (0, missing), (0, 0)))
         parts = rows.reshape(len(rows) * blocks, -1, k)
-        rows = np.linalg.qr(parts, mode="r").reshape(len(rows), blocks * k, k)
+        factors: Any = np.linalg.qr(parts, mode="r")
+        rows = factors.reshape(len(rows), blocks * k, k)
         if blocks == 1:
             return np.asarray(rows.reshape(*lead, k, k))
 
@@ -82,7 +83,7 @@ def steps_of(factors: Array, scales: Array, radius: Array) -> Steps:
         if not long.size:
             break
         damping[long] *= 4.0
-        some = Decomposed(*(each[long] for each in parts))
+        some = parts.part(long)
         change[long], length[long] = _damped(some, along[long], damping[long], scales[long])
     left = damping[:, None] / (parts.values**2 + damping[:, None])
     return Steps(

@@ -7,16 +7,16 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from lierb.analysis.experiments import flat_start, measured_experiments, of_experiments
 from lierb.analysis.fitting import described_directions, fit_runs, require_whole
-from lierb.analysis.identifiability import decomposed, identified
+from lierb.analysis.identifiability import Direction, decomposed, identified, of_numbers
 from lierb.analysis.many_fits_result import Fits
 from lierb.analysis.minimising import Minimisation, Minimised
 from lierb.analysis.quantities import require_derivatives
-from lierb.analysis.side_by_side import Experiments
-from lierb.analysis.unknowns import guessed
+from lierb.analysis.side_by_side import Experiments, State
+from lierb.analysis.unknowns import Unknowns, guessed
 from lierb.api import checked_model
 from lierb.errors import ArgumentError, FailedFitWarning
 from lierb.model.mechanism.mechanism import Mechanism
@@ -180,42 +180,44 @@ def _solved(experiments: Experiments, max_iterations: int, progress: Progress) -
 
 
 def _report(experiments: Experiments, ends: Minimised) -> Fits:
-    state, size = ends.state, experiments.size
+    state, everyone = ends.state, np.arange(experiments.total)
     has_run = np.isfinite(state["chi2"])
-    everyone = np.arange(experiments.total)
+    chi2 = np.where(has_run, state["chi2"], np.nan)
     varied = experiments.varied(everyone, state)
     variation = Variation(varied, experiments.parameters, experiments.variation.t0)
     unknowns = experiments.unknowns(everyone, variation)
-    told = decomposed(state["factor"][..., :size], state["sizes"])
+    told = decomposed(state["factor"][..., :-1], state["sizes"])
     freedoms = experiments.residuals - told.rank
-    scale = np.ones(experiments.total)
+    scale = np.where(has_run, 1.0, np.nan)
     if not experiments.data.has_sigma:
-        scale = np.where(freedoms > 0, state["chi2"] / np.maximum(freedoms, 1), np.nan)
-    scale[~has_run] = np.nan
-    spread = unknowns.spread
-    covariance = scale[:, None, None] * (spread @ told.covariance @ spread.swapaxes(-1, -2))
-    deviations = np.sqrt(np.diagonal(covariance, axis1=-2, axis2=-1))
-    is_open = np.any((spread != 0.0) & ~told.is_known[:, None, :], axis=-1)
-    deviations = np.where(is_open & has_run[:, None], np.inf, deviations)
+        scale = np.where(freedoms > 0, chi2 / np.maximum(freedoms, 1), np.nan)
+    covariance, deviations = of_numbers(told, unknowns.spread, scale)
+    deviations[~has_run] = np.nan
     estimate = unknowns.estimate
     for array in estimate.values():
         array[~has_run] = np.nan
-    not_told = np.where(has_run, size - told.rank, 0)
-    directions = ()
-    if not_told.any():
-        i = int(not_told.argmax())
-        own = identified(state["factor"][i, :, :size], state["sizes"][i])
-        directions = described_directions(unknowns, own, spread[i], unknowns.all_values[i])
+    not_told = np.where(has_run, experiments.size - told.rank, 0)
     model: Any = varied.model
     return Fits(
         estimate=estimate, standard_errors=unknowns.by_parameter(deviations),
-        covariance=covariance, labels=unknowns.labels,
-        chi2=np.where(has_run, state["chi2"], np.nan), freedoms=freedoms,
-        converged=ends.converged, status=ends.reasons, iterations=ends.iterations,
-        not_told=not_told, unidentifiable=directions, problem=model,
+        covariance=covariance, labels=unknowns.labels, has_sigma=experiments.data.has_sigma,
+        chi2=chi2, freedoms=freedoms, converged=ends.converged, status=ends.reasons,
+        iterations=ends.iterations, not_told=not_told,
+        unidentifiable=_directions(unknowns, state, not_told), problem=model,
         start={**varied.start, "t0": variation.t0},
         units={p.name: p.unit for p in experiments.parameters},
     )  # fmt: skip
+
+
+def _directions(
+    unknowns: Unknowns, state: State, not_told: NDArray[np.int64]
+) -> tuple[Direction, ...]:
+    """Describe the directions that the data of the first such experiment do not tell."""
+    if not not_told.any():
+        return ()
+    i = int(np.flatnonzero(not_told)[0])
+    told = identified(state["factor"][i, :, :-1], state["sizes"][i])
+    return described_directions(unknowns, told, unknowns.spread[i], unknowns.all_values[i])
 
 
 def _warn(many: Fits) -> None:

@@ -12,6 +12,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import NDArray
 
+from lierb.analysis.fit_result import is_misfit
 from lierb.analysis.identifiability import Direction
 from lierb.lie import se3
 from lierb.model.mechanism.mechanism import Mechanism
@@ -43,6 +44,8 @@ class Fits(Represented):
         Covariance of all numbers, in the order of `labels`, of the directions that the data tell.
     labels : tuple of str
         Name of each number, such as "body.inertia[12]", or "omega0[3][0]" for trajectory 3.
+    has_sigma : bool
+        True if the fits were given `sigma`.
     chi2 : ndarray, shape (n,)
         Sum of the squares of all residuals, each divided by its `sigma` if there is one.
     freedoms : ndarray, shape (n,)
@@ -61,12 +64,15 @@ class Fits(Represented):
         The problem with the estimated numbers of all trajectories, experiment by experiment.
     start : dict
         Keywords pose0, twist0 and t0 of `lierb.integrate`, with the estimated starts.
+    units : dict of str
+        Units by parameter.
     """
 
     estimate: dict[str, Array]
     standard_errors: dict[str, Array]
     covariance: Array
     labels: tuple[str, ...]
+    has_sigma: bool
     chi2: Array
     freedoms: NDArray[np.int64]
     converged: NDArray[np.bool_]
@@ -88,6 +94,15 @@ class Fits(Represented):
         """Return chi2 over `freedoms`, (n,), about 1 for noise of the given sigma."""
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.where(self.freedoms > 0, self.chi2 / self.freedoms, np.nan)
+
+    @property
+    def misfit(self) -> NDArray[np.bool_]:
+        """Return True for fits, (n,), whose chi2 noise of the given sigma cannot explain.
+
+        The minimum is then a local one, the model is wrong, or sigma is too small. Without sigma
+        nothing is known of the noise.
+        """
+        return self.has_sigma & is_misfit(self.reduced_chi2, self.freedoms)
 
     @cached_property
     def scatter(self) -> dict[str, Array]:
@@ -113,17 +128,16 @@ class Fits(Represented):
     def table(self) -> pa.Table:
         """Return a table with a row for each fit.
 
-        Columns are "fit", "converged", "status", "chi2", "freedoms", "iterations", "not_told" and
-        two for each parameter: its name, and with ".error" the standard errors. Metadata have the
-        units.
+        Columns are "fit", "converged", "status", "chi2", "freedoms", "misfit", "iterations",
+        "not_told" and two for each parameter: its name, and with ".error" the standard errors.
+        Metadata have the units.
         """
         n = len(self.chi2)
         columns = {
-            "fit": numbers(np.arange(n)), "converged": pc.not_equal(
-                numbers(self.converged.astype(np.int8)), 0),
+            "fit": numbers(np.arange(n)), "converged": _flags(self.converged),
             "status": texts(self.status), "chi2": numbers(self.chi2),
-            "freedoms": numbers(self.freedoms), "iterations": numbers(self.iterations),
-            "not_told": numbers(self.not_told),
+            "freedoms": numbers(self.freedoms), "misfit": _flags(self.misfit),
+            "iterations": numbers(self.iterations), "not_told": numbers(self.not_told),
         }  # fmt: skip
         fields = [pa.field(name, column.type) for name, column in columns.items()]
         for name in self.estimate:
@@ -156,6 +170,9 @@ class Fits(Represented):
         if good:
             mean = np.mean(self.reduced_chi2[self.converged])
             rows.append(("chi2", f"{mean:.4g} per freedom, the mean of all that have converged"))
+        if len(some := np.flatnonzero(self.misfit)):
+            text = "whose residuals the noise does not explain: a local minimum, or a wrong model"
+            rows.append(("misfit", f"{counted(len(some), 'fit')}, the first is {some[0]}, {text}"))
         if len(some := np.flatnonzero(self.not_told)):
             first = "; ".join(each.sentence for each in self.unidentifiable)
             rows.append(("not told", f"in {counted(len(some), 'fit')}, in fit {some[0]}: {first}"))
@@ -176,3 +193,7 @@ class Fits(Represented):
         for i, label in enumerate(labels):
             mean = "mean pose" if name.endswith("pose0") else f"mean {means[i]:.6g}"
             yield label, f"{mean}, scatter {scatter[i]:.2g}, {ratios[i]:.3g} standard errors"
+
+
+def _flags(values: NDArray[np.bool_]) -> pa.Array:
+    return pc.not_equal(numbers(values.astype(np.int8)), 0)

@@ -16,6 +16,7 @@ FIRST_STEP = 0.3  # length of the first step relative to sizes; later ones may b
 OFFSET = 1e-6  # of the estimate from the minimum, in standard errors: Bates and Watts's criterion
 STILL = 1e-11  # step, relative to sizes, that counts as none
 ROUNDING = 1e-12  # change of the residuals, relative to that by unknowns of their sizes
+SUM_ROUNDING = 1e-12  # relative, of a sum of squares
 CLOSE = 1e-3  # offset with which an estimate without a shorter step counts as a minimum
 CLOSE_ROUNDING = 1e-9
 
@@ -93,12 +94,12 @@ class Minimisation:
             steps.offset <= CLOSE_ROUNDING * steps.response
         )
         shortest = np.minimum(steps.length, self.radius[running]) <= STILL
-        tests = (
-            (~begun, RUNNING), (converged, CONVERGED), (shortest & close, UNCHANGED),
-            (shortest, STUCK), (self.iterations[running] >= self.max_iterations, LIMIT),
-        )  # fmt: skip
-        conditions, codes = zip(*tests, strict=True)
-        return np.select(conditions, codes, RUNNING)
+        is_last = self.iterations[running] >= self.max_iterations
+        return np.select(
+            [~begun, converged, shortest & close, shortest, is_last],
+            [RUNNING, CONVERGED, UNCHANGED, STUCK, LIMIT],
+            RUNNING,
+        )
 
     def _iterate(self, members: Members, own: State, steps: Steps) -> None:
         """Run experiments at their steps; go there if the sum of squares decreases."""
@@ -106,7 +107,7 @@ class Minimisation:
         is_guess = self.iterations[members] < 0
         self.iterations[members] += 1
         with np.errstate(invalid="ignore"):
-            decrease = own["chi2"] - trial["chi2"]
+            decrease = own["chi2"] * (1.0 + SUM_ROUNDING) - trial["chi2"]
         decrease[~np.isfinite(trial["chi2"])] = -np.inf
         better = np.where(is_guess, np.isfinite(trial["chi2"]), decrease > 0.0)
         radius = next_radius(self.radius[members], steps, decrease)

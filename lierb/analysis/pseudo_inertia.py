@@ -19,7 +19,7 @@ from lierb.runs.parameters import SYMMETRIC
 from lierb.support.arrays import Array
 
 UPPER = (0, 0, 1), (1, 2, 2)  # rows and columns of the entries above the diagonal
-ENTRIES = tuple(zip(*SYMMETRIC, strict=True))  # rows and columns of the entries of an inertia
+ENTRIES = tuple(np.transpose(SYMMETRIC))  # rows and columns of the entries of an inertia
 SIZES = {"mass": 1, "com": 3, "inertia": 6}  # of the numbers and of the coordinates
 # coordinates: α; c; d₁, d₂, d₃, s₁₂, s₁₃, s₂₃
 
@@ -43,7 +43,7 @@ def coordinates_of(mass: ArrayLike, com: Array, inertia: Array) -> dict[str, Arr
         "mass": 0.5 * np.log(mass[..., 0]),
         "com": np.array(com),
         "inertia": np.concatenate(
-            [np.log(np.diagonal(factor, axis1=-2, axis2=-1)), factor[(..., *UPPER)]], axis=-1
+            [np.log(np.diagonal(factor, axis1=-2, axis2=-1)), factor[..., *UPPER]], axis=-1
         ),
     }
 
@@ -86,7 +86,7 @@ def _factor(coordinates: dict[str, Array]) -> Array:
     d, s = np.split(coordinates["inertia"], 2, axis=-1)
     factor = np.zeros((*d.shape[:-1], 3, 4))
     factor[..., range(3), range(3)] = np.exp(d)
-    factor[(..., *UPPER)] = s
+    factor[..., *UPPER] = s
     factor[..., 3] = coordinates["com"]
     return factor
 
@@ -98,7 +98,7 @@ def _outer(first: Array, second: Array) -> Array:
 def second_moments(inertia: Array) -> Array:
     """Return Σ = ½ tr(Θ) 1 − Θ of six entries."""
     matrix = np.zeros((*inertia.shape[:-1], 3, 3))
-    matrix[(..., *ENTRIES)] = matrix[(..., *ENTRIES[::-1])] = inertia
+    matrix[..., *ENTRIES] = matrix[..., *ENTRIES[::-1]] = inertia
     half = 0.5 * np.trace(matrix, axis1=-2, axis2=-1)
     return np.asarray(half[..., None, None] * np.eye(3) - matrix)
 
@@ -106,4 +106,4 @@ def second_moments(inertia: Array) -> Array:
 def _inertia(moments: Array) -> Array:
     """Return the six entries of Θ = tr(Σ) 1 − Σ."""
     trace = np.trace(moments, axis1=-2, axis2=-1)
-    return np.asarray((trace[..., None, None] * np.eye(3) - moments)[(..., *ENTRIES)])
+    return np.asarray((trace[..., None, None] * np.eye(3) - moments)[..., *ENTRIES])

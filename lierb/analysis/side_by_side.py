@@ -91,7 +91,7 @@ class Experiments:
             model = model.part(int(which[0]) if is_single else which)
         flat = {k: x.reshape(-1, *x.shape[2:]) for k, x in point.items()}
         numbers = {
-            k.removeprefix(NUMBER): x[0] if is_single else x
+            k.removeprefix(NUMBER): np.array(x[0]) if is_single else x
             for k, x in flat.items() if k.startswith(NUMBER)
         }  # fmt: skip
         return Varied(
@@ -161,7 +161,9 @@ class Experiments:
     def _runs(self, members: Members, is_guess: bool) -> Runs:
         """Return the runs with the numbers of their trajectories, which select noise."""
         given, which = self.runs.keywords.get("trajectories"), self.trajectories(members)
-        keywords = {"trajectories": which if given is None else np.asarray(given)[which]}
+        keywords: dict[str, Any] = {
+            "trajectories": which if given is None else np.asarray(given)[which]
+        }
         if not is_guess and self.most_steps is not None:
             keywords["max_steps"] = self.most_steps
         return self.runs._replace(keywords=self.runs.keywords | keywords)
@@ -197,7 +199,7 @@ class Experiments:
             own[..., :shared] = lead[:, i, :, :shared]
             own[..., part] = starts[:, i]
             own[..., -1] = lead[:, i, :, -1]
-        return triangular(whole) if self.count > 1 else whole, is_finite.all(-1)
+        return triangular(whole), np.all(is_finite, axis=-1)
 
     def _rows(self, members: Members, result: Result, unknowns: Unknowns) -> Array:
         """Return [J r] of each trajectory by its numbers, (n, rows, numbers + 1)."""

@@ -182,7 +182,7 @@ class Unknowns:
         moved = (self.bases @ along)[..., 0]
         if self.lead:  # by trajectory
             changes = {name: np.repeat(each, self.count, axis=0) for name, each in changes.items()}
-            moved = moved.reshape(-1, moved.shape[-1])
+            moved = moved.reshape(self.lead[0] * self.count, moved.shape[-1])
         elif self.count == 1:
             moved = moved[0]
         return changes | {name: moved[..., part] for name, part in self.start_parts.items()}
@@ -195,8 +195,8 @@ class Unknowns:
             derivatives = derivatives_of(self._coordinates(body, x))
             for row in body.unknown:
                 for column in body.unknown:
-                    parts = (self.slices[f"{body.prefix}{name}"] for name in (row, column))
-                    slope[(..., *parts)] = derivatives.get((row, column), 0.0)
+                    rows, columns = (self.slices[f"{body.prefix}{x}"] for x in (row, column))
+                    slope[..., rows, columns] = derivatives.get((row, column), 0.0)
         return slope
 
     def turned(self, changes: Mapping[str, Array], p: Parameter) -> Array | None:
@@ -301,14 +301,13 @@ class Unknowns:
             link, _, what = p.name.rpartition(".")
             array = base.poses[link] if what == "pose0" else base.twists[link]
             array = array[..., :3] if what == "omega0" else array
-            estimate[p.name] = self._by_experiment(
-                array, array.shape[-1 if what != "pose0" else -2 :]
-            )
+            estimate[p.name] = self._by_experiment(array, 2 if what == "pose0" else 1)
         return estimate
 
-    def _by_experiment(self, array: Array, item: tuple[int, ...]) -> Array:
+    def _by_experiment(self, array: Array, item_axes: int) -> Array:
         if not self.lead:
             return array
+        item = array.shape[-item_axes:]
         several = (self.count,) if self.count > 1 else ()
         array = np.broadcast_to(array, (self.lead[0] * self.count, *item))
         return np.array(array.reshape(*self.lead, *several, *item))

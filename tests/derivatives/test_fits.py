@@ -1,0 +1,325 @@
+"""Many fits side by side agree with single ones, cover their scatter, and flag those that fail."""
+
+from __future__ import annotations
+
+import warnings
+from functools import cache
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+import lierb
+from lierb.analysis import many_fits
+from lierb.analysis.least_squares import steps_of, triangular
+from lierb.analysis.pseudo_inertia import SIZES, body_of, coordinates_of, derivatives_of
+from lierb.errors import FailedFitWarning, LierbError
+
+TIMES = np.linspace(0.0, 5.0, 51)
+RUN = {"dt": 2e-2}
+DAMPING, STIFFNESS = "torsional_spring.damping", "torsional_spring.stiffness"
+SIGMA = 0.02
+HINGE = lierb.joints.revolute(axis=(0.0, 1.0, 0.0), body_point=(0.0, 0.0, 0.5))
+BOX = lierb.bodies.box((0.1, 0.1, 1.0), mass=1.0)
+
+
+def pendulum(damping=0.02, stiffness=0.4, gravity=(0.0, 0.0, -9.81)):
+    spring = lierb.forces.torsional_spring(stiffness=stiffness, damping=damping)
+    return lierb.Problem(BOX, HINGE, gravity, spring)
+
+
+@cache
+def swung() -> lierb.Result:
+    start = {"pose0": HINGE.pose([1.0]), "t_end": 5.0, "save_at": TIMES, "record": "state"}
+    return lierb.integrate(pendulum(), **start, **RUN)
+
+
+def measured(count: int, seed=0) -> dict[str, np.ndarray]:
+    """Rates of the pendulum with noise, (times, count, 3)."""
+    rng = np.random.default_rng(seed)
+    rates = np.broadcast_to(swung().omega, (len(TIMES), count, 3)).copy()
+    rates[..., 1] += SIGMA * rng.standard_normal(rates.shape[:2])
+    return {"t": TIMES, "omega": rates}
+
+
+def fitted(problem, data, names=(DAMPING, STIFFNESS), **more):
+    given = {"pose0": HINGE.pose([1.0]), "sigma": {"omega": SIGMA}} | RUN | more
+    return lierb.fits(problem, data, names, **given)
+
+
+def assert_same(many, i: int, single) -> None:
+    """Compare experiment i with a single fit."""
+    for name, exact in single.estimate.items():
+        # SciPy stops a millionth of a standard error before numbers that are zero but for noise
+        most = 1e-8 * np.abs(exact) + 1e-6 * single.standard_errors[name]
+        assert np.all(np.abs(many.estimate[name][i] - exact) <= most)
+    deviations = np.sqrt(np.diag(single.covariance))
+    deviations[deviations == 0.0] = 1.0  # of directions that the joint does not admit
+    off = (many.covariance[i] - single.covariance) / np.outer(deviations, deviations)
+    assert np.abs(off).max() < 1e-6
+    assert_allclose(many.chi2[i], single.chi2, rtol=1e-9)
+    assert many.freedoms[i] == single.freedoms
+    assert many.labels == single.labels
+
+
+# ---- as single fits ----------------------------------------------------------------------------
+
+
+@pytest.mark.slow
+def test_fits_agree_with_single_fits_and_cover_the_scatter():
+    """500 fits of noisy data: scatter over covariance within 10 %, chi-square of its mean."""
+    data = measured(500)
+    many = fitted(pendulum(0.1, 0.0), data, [DAMPING, STIFFNESS, "omega0"])
+    assert many.converged.all()
+    single = lierb.fit(
+        pendulum(0.1, 0.0), {"t": TIMES, "omega": data["omega"][:, 7]},
+        [DAMPING, STIFFNESS, "omega0"], pose0=HINGE.pose([1.0]), sigma={"omega": SIGMA}, **RUN,
+    )  # fmt: skip
+    assert_same(many, 7, single)
+    ratios = np.concatenate([many.ratio[DAMPING], many.ratio[STIFFNESS], many.ratio["omega0"][1:2]])
+    assert np.all((ratios > 0.9) & (ratios < 1.1)), ratios
+    indices = [0, 1, 3]
+    truth = [0.02, 0.4, 0.0]
+    offsets = (
+        np.column_stack(
+            [many.estimate[DAMPING], many.estimate[STIFFNESS], many.estimate["omega0"][:, 1]]
+        )
+        - truth
+    )
+    inverse = np.linalg.inv(many.covariance[:, indices][..., indices])
+    distances = np.einsum("ni,nij,nj->n", offsets, inverse, offsets)
+    assert abs(np.mean(distances) - 3.0) < 5.0 * np.sqrt(6.0 / 500)  # five standard errors
+    # the noise has one component of three
+    assert_allclose(np.mean(many.reduced_chi2), (len(TIMES) - 3) / many.freedoms[0], rtol=0.03)
+    assert not many.misfit.any()
+    assert "converged" in repr(many)
+    assert "500 of 500" in repr(many)
+
+
+@pytest.mark.slow
+def test_small_oscillations_agree_with_linear_theory():
+    """x″ = −k x / J of small amplitude: the estimate of k has the variance σ²/Σ(∂ẋ/∂k)²."""
+    moment, angle, stiffness, count = float(BOX.inertia[1, 1]) + 0.25, 1e-4, 0.4, 800
+    frequency = np.sqrt(stiffness / moment)
+    rates = -angle * frequency * np.sin(frequency * TIMES)
+    by_frequency = -angle * (
+        np.sin(frequency * TIMES) + frequency * TIMES * np.cos(frequency * TIMES)
+    )
+    sigma = 1e-3 * angle * frequency
+    deviation = sigma / np.linalg.norm(by_frequency * frequency / (2.0 * stiffness))
+    noise = sigma * np.random.default_rng(4).standard_normal((len(TIMES), count))
+    data = {"t": TIMES, "omega": np.zeros((len(TIMES), count, 3))}
+    data["omega"][..., 1] = rates[:, None] + noise
+    many = fitted(
+        pendulum(0.0, 0.5, gravity=(0.0, 0.0, 0.0)), data, STIFFNESS,
+        pose0=HINGE.pose([angle]), sigma={"omega": sigma},
+    )  # fmt: skip
+    assert many.converged.all()
+    assert_allclose(many.standard_errors[STIFFNESS], deviation, rtol=2e-3)  # by the noise
+    offsets = (many.estimate[STIFFNESS][:, 0] - stiffness) / deviation
+    linear = noise.T @ by_frequency * frequency / (2.0 * stiffness)
+    linear = linear / np.linalg.norm(by_frequency * frequency / (2.0 * stiffness)) / sigma
+    assert_allclose(offsets, linear, atol=2e-2)  # of the order of a relative deviation of k
+
+
+@pytest.mark.slow
+def test_experiments_of_several_trajectories_have_starts_of_their_own():
+    poses = HINGE.pose(np.array([[0.5], [1.0]]))
+    rng = np.random.default_rng(1)
+    rates = 0.2 * rng.standard_normal((3, 2))
+    starts = HINGE.twist(omega=np.stack([0.0 * rates, rates, 0.0 * rates], -1).reshape(6, 3))
+    truth = lierb.integrate(
+        pendulum(), pose0=np.tile(poses, (3, 1, 1)), twist0=starts, **RUN, t_end=5.0,
+        save_at=TIMES, record="state",
+    )  # fmt: skip
+    rates = truth.omega + SIGMA * rng.standard_normal(truth.omega.shape)
+    data = {"t": TIMES, "omega": rates.reshape(len(TIMES), 3, 2, 3)}
+    names = {DAMPING: 0.05, STIFFNESS: [0.3], "omega0": None}
+    many = fitted(pendulum(), data, names, pose0=poses)
+    assert many.converged.all()
+    assert many.estimate["omega0"].shape == many.standard_errors["omega0"].shape == (3, 2, 3)
+    by_list = fitted(
+        pendulum(), [{"t": TIMES, "omega": data["omega"][:, i]} for i in range(3)], names,
+        pose0=poses,
+    )  # fmt: skip
+    assert_allclose(by_list.estimate[DAMPING], many.estimate[DAMPING], rtol=1e-12)
+    for i in range(3):
+        single = lierb.fit(
+            pendulum(), {"t": TIMES, "omega": data["omega"][:, i]}, names, pose0=poses,
+            sigma={"omega": SIGMA}, **RUN,
+        )  # fmt: skip
+        assert_same(many, i, single)
+    # problem and start are those of the estimate
+    again = lierb.integrate(many.problem, **many.start, **RUN, t_end=5.0)
+    assert_allclose(again.omega, truth.omega[-1], atol=5.0 * SIGMA)
+
+
+# ---- failures ----------------------------------------------------------------------------------
+
+
+def test_experiments_that_fail_are_flagged_and_leave_the_others_alone():
+    data = measured(4)
+    data["omega"][:, 1] = 40.0 * np.sin(17.0 * TIMES)[:, None]  # no pendulum
+    data["omega"][3, 2] = np.nan  # a missing sample
+    spins = np.zeros((4, 6))
+    spins[3] = HINGE.twist(omega=(0.0, 1e8, 0.0))
+    with pytest.warns(FailedFitWarning, match="fits have not converged"):
+        many = fitted(pendulum(0.1), data, twist0=spins, max_iterations=12)
+    assert many.converged[[0, 2]].all()
+    assert not many.converged[3]
+    assert "the run of the guess fails" in many.status[3]
+    assert "non_finite" in many.status[3]
+    for name in (DAMPING, STIFFNESS):
+        assert np.isnan(many.estimate[name][3]).all()
+        assert np.isnan(many.standard_errors[name][3]).all()
+    assert not many.converged[1] or many.misfit[1]
+    assert many.freedoms[:3].tolist() == [151, 151, 148]
+    alone = fitted(pendulum(0.1), {"t": TIMES, "omega": data["omega"][:, :1]})
+    assert_allclose(alone.estimate[DAMPING][0], many.estimate[DAMPING][0], rtol=1e-12)
+    assert "fit 3" in repr(many) or "fit 1" in repr(many)
+    table = many.table
+    assert table.num_rows == 4
+    assert table["converged"].to_pylist() == many.converged.tolist()
+    assert f"{DAMPING}.error" in table.column_names
+
+
+def test_max_iterations_is_reported():
+    with pytest.warns(FailedFitWarning, match="max_iterations is reached"):
+        many = fitted(pendulum(0.1, 0.0), measured(2), max_iterations=1)
+    assert not many.converged.any()
+    assert many.iterations.tolist() == [1, 1]
+
+
+def test_directions_that_data_do_not_tell_are_named():
+    many = fitted(pendulum(), measured(3), [DAMPING, "gravity"])
+    assert many.converged.all()
+    assert many.not_told.tolist() == [1, 1, 1]
+    assert many.unidentifiable[0].sentence == "gravity[1] has no effect"
+    assert np.isinf(many.standard_errors["gravity"][:, 1]).all()
+    assert np.isfinite(many.standard_errors["gravity"][:, 2]).all()
+    assert "not told" in repr(many)
+
+
+def test_few_at_a_time_are_the_same_fits(monkeypatch):
+    data = measured(5)
+    whole = fitted(pendulum(0.1), data)
+    monkeypatch.setattr(many_fits, "ROOM", 1)
+    seen = []
+    alone = fitted(pendulum(0.1), data, progress=lambda done, total: seen.append((done, total)))
+    for name in (DAMPING, STIFFNESS):
+        assert_allclose(alone.estimate[name], whole.estimate[name], rtol=1e-12)
+    assert seen[-1] == (5, 5)
+    assert sorted(seen) == seen
+
+
+def test_an_interrupted_fit_leaves_nothing_behind():
+    def stop(done, total):
+        raise KeyboardInterrupt
+
+    data = measured(2)
+    with pytest.raises(KeyboardInterrupt):
+        fitted(pendulum(0.1), data, progress=stop)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert fitted(pendulum(0.1), data).converged.all()
+
+
+def test_numbers_and_guesses_may_differ_between_experiments():
+    data = measured(3)
+    same = fitted(pendulum(0.03, 0.5), data)
+    by_problem = fitted(pendulum([0.02, 0.03, 0.04], 0.5), data)
+    by_guess = fitted(pendulum(), data, {DAMPING: [0.02, 0.03, 0.04], STIFFNESS: 0.5})
+    for many in (by_problem, by_guess):
+        assert_allclose(many.estimate[DAMPING], same.estimate[DAMPING], rtol=1e-7)
+
+
+# ---- formulas ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("count", "k"), [(2, 5), (5, 5), (40, 3), (3000, 4), (700, 17)])
+def test_triangular_factors_have_the_gram_matrix_of_the_rows(count, k):
+    rows = np.random.default_rng(0).standard_normal((3, count, k))
+    factors = triangular(rows)
+    assert factors.shape == (3, k, k)
+    assert_allclose(
+        factors.swapaxes(-1, -2) @ factors, rows.swapaxes(-1, -2) @ rows, atol=1e-12 * count
+    )
+
+
+def test_steps_are_those_of_least_squares_within_the_radius():
+    rng = np.random.default_rng(1)
+    jacobians, residuals = rng.standard_normal((2, 20, 3)), rng.standard_normal((2, 20))
+    factors = triangular(np.concatenate([jacobians, residuals[..., None]], -1))
+    scales = np.ones((2, 3))
+    whole = steps_of(factors, scales, np.full(2, np.inf))
+    for i in range(2):
+        exact = -np.linalg.lstsq(jacobians[i], residuals[i], rcond=None)[0]
+        assert_allclose(whole.change[i], exact, rtol=1e-9)
+        after = np.sum((jacobians[i] @ exact + residuals[i]) ** 2)
+        assert_allclose(whole.predicted[i], np.sum(residuals[i] ** 2) - after, rtol=1e-9)
+    short = steps_of(factors, scales, 0.1 * whole.length)
+    assert short.is_limited.all()
+    assert not whole.is_limited.any()
+    assert np.all(short.length <= 0.1 * whole.length)
+    assert np.all(short.length > 0.02 * whole.length)  # powers of 4
+
+
+def test_stacks_of_bodies_have_the_coordinates_of_each():
+    rng = np.random.default_rng(3)
+    factors = rng.standard_normal((4, 4, 4))
+    pseudo = factors @ factors.swapaxes(-1, -2)
+    mass, com = pseudo[:, 3, 3], pseudo[:, :3, 3] / pseudo[:, 3, 3, None]
+    second = pseudo[:, :3, :3]
+    matrices = np.trace(second, axis1=1, axis2=2)[:, None, None] * np.eye(3) - second
+    inertia = matrices[:, [0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
+    stack = coordinates_of(mass, com, inertia)
+    bodies, slopes = body_of(stack), derivatives_of(stack)
+    assert_allclose(bodies["inertia"], inertia, rtol=1e-10, atol=1e-12)
+    for i in range(4):
+        own = coordinates_of(mass[i], com[i], inertia[i])
+        for name in SIZES:
+            assert_allclose(stack[name][i], own[name], rtol=1e-14)
+        for pair, slope in derivatives_of(own).items():
+            whole = slopes[pair]
+            assert_allclose(whole[i] if whole.ndim == 3 else whole, slope, rtol=1e-13, atol=1e-13)
+
+
+# ---- errors ------------------------------------------------------------------------------------
+
+GOOD = {"t": [0.5, 1.0], "omega": np.zeros((2, 4, 3))}
+
+
+@pytest.mark.parametrize(
+    ("data", "more", "message"),
+    [
+        (GOOD, {"parameters": ()}, "parameters is empty"),
+        (GOOD, {"parameters": {DAMPING: [0.1, 0.2]}}, "expected 1 finite numbers"),
+        (GOOD, {"max_iterations": 0}, "expected a whole number"),
+        (GOOD, {"progress": 3}, "progress=3"),
+        (GOOD, {"bounds": {}}, "option='bounds' is unknown"),
+        (GOOD, {"twist0": np.zeros((3, 6))}, "data has 4 experiments of 1 trajectories"),
+        (GOOD, {"sigma": {}}, "sigma lacks omega"),
+        (GOOD, {"pose0": np.diag([1.0, 2.0, 1.0, 1.0])}, "pose0"),
+        (GOOD, {"dt": 0.3}, "t_end"),
+        ({"t": [0.5], "omga": np.zeros((1, 2, 3))}, {}, "Did you mean 'omega'"),
+        ({"t": [0.5], "omega": np.zeros((1, 2, 2, 2, 3))}, {}, "omega has shape"),
+        (
+            {"t": [0.5], "omega": np.zeros((1, 2, 2, 3)), "v": np.zeros((1, 2, 3, 3))}, {},
+            "number of trajectories by experiment",
+        ),
+        ([[GOOD], [GOOD, GOOD]], {}, r"data\[1\] has 8 trajectories and data\[0\] 4"),
+        ({"t": [0.5], "omega": np.full((1, 2, 3), np.nan)}, {}, "experiment 0 0 samples"),
+    ],
+)  # fmt: skip
+def test_arguments_that_do_not_fit_are_refused(data, more, message):
+    given = {"parameters": DAMPING} | more
+    names = given.pop("parameters")
+    with pytest.raises(LierbError, match=message):
+        fitted(pendulum(), data, names, **given)
+
+
+def test_memory_is_estimated_before(monkeypatch):
+    monkeypatch.setattr("lierb.support.memory.available", lambda: 1 << 10)
+    monkeypatch.setattr("lierb.support.memory.ALWAYS", 0)
+    with pytest.raises(lierb.errors.MemoryLimitError, match="the fits takes"):
+        fitted(pendulum(), measured(4))
