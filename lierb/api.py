@@ -18,7 +18,7 @@ from lierb.model.mechanism.mechanism import Mechanism
 from lierb.model.problem import Problem
 from lierb.results.failures import STATUS_NAMES, Failures, warn_of
 from lierb.results.result import Result
-from lierb.results.sensitivities import sensitivities
+from lierb.results.sensitivities import Untabled, sensitivities
 from lierb.results.tables import (
     events_table,
     history_table,
@@ -270,10 +270,12 @@ def integrate_model(
     threads: int | None = None,
     progress: Progress = None,
     stacklevel: int = 2,
+    has_tables: bool = True,
 ) -> Result:
     """Integrate a model with validated options; arguments as in `integrate`.
 
-    stacklevel : stack level of warnings; 2 is the caller of this function.
+    has_tables : False for derivatives of the history without tables, for `Result.sensitivity`
+    alone.   stacklevel : stack level of warnings; 2 is the caller of this function.
     """
     model.require_unchanged()
     check_progress(progress)
@@ -297,7 +299,7 @@ def integrate_model(
         else:
             output = engine.integrate(prepared.plan, prepared.inputs, prepared.times, *call)
         warn_of_stiff_run(prepared, output, stacklevel=stacklevel + 1)
-        result = _result(prepared, output, derivatives, described())
+        result = _result(prepared, output, derivatives, described(), has_tables)
     except MemoryError as error:
         raise no_room(prepared) from error
     if np.count_nonzero(output.status):  # OK is 0; quicker than any()
@@ -333,15 +335,24 @@ def _report(error: ValueError | None, options: Options, stacklevel: int) -> None
 
 
 def _result(
-    prepared: Ready, output: Output, derivatives: Derivatives | None, metadata: str
+    prepared: Ready,
+    output: Output,
+    derivatives: Derivatives | None,
+    metadata: str,
+    has_tables: bool,
 ) -> Result:
     model, plan = prepared.model, prepared.plan
     record, saves = prepared.options.record, prepared.options.timing.saves
     history = history_table(output, record, plan, metadata, model) if saves else None
+    of_run: Any = None
+    if derivatives is not None:
+        of_run = Untabled(derivatives, model)
+        if has_tables:
+            of_run = sensitivities(derivatives, output, model, history, metadata)
     return Result(
         summary_table(output, metadata, model),
         history,
         End(model, plan, output, STATUS_NAMES, metadata),
         events_table(output, metadata, model) if model.events else None,
-        sensitivities(derivatives, output, model, history, metadata) if derivatives else None,
+        of_run,
     )

@@ -32,12 +32,18 @@ class Runs(NamedTuple):
     def options(self, model: Any) -> Options:
         return Options.of(model, **self.keywords)
 
-    def result(self, varied: Varied, parameters: Iterable[str] = ()) -> Result:
-        """Return the run of a model from its start."""
+    def result(
+        self, varied: Varied, parameters: Iterable[str] = (), has_tables: bool = True
+    ) -> Result:
+        """Return the run of a model from its start.
+
+        has_tables : False for derivatives without tables, for `Result.sensitivity` alone.
+        """
         start = varied.start
         return integrate_model(
             varied.model, self.options(varied.model), start["pose0"], start["twist0"],
             with_respect_to=parameters, threads=self.threads, progress=False,
+            has_tables=has_tables,
         )  # fmt: skip
 
     def most_steps(self, summary: pa.Table) -> int | None:

@@ -17,7 +17,7 @@ from lierb.results.columns import as_array, numbers, vectors
 from lierb.results.tables import UNITS
 from lierb.runs.derivatives import Derivatives
 from lierb.runs.output import Output
-from lierb.runs.parameters import POSE_UNITS, TWIST_UNITS
+from lierb.runs.parameters import POSE_UNITS, TWIST_UNITS, slices_of
 from lierb.support.arrays import Array
 
 SEPARATOR = "/"  # between quantity and parameter in the name of a column
@@ -66,6 +66,22 @@ class Sensitivities(NamedTuple):
             table, lead = self.history, (-1, self.summary.num_rows)
         shape = table.schema.field(column).metadata[SHAPE].decode()
         return as_array(table[column]).reshape(*lead, *map(int, shape.split(", ")))
+
+
+class Untabled:
+    """Derivatives of a run at the saved times, without tables, for callers that need a few."""
+
+    def __init__(self, derivatives: Derivatives, model: Model) -> None:
+        self._derivatives = derivatives
+        self._quantities = {q.name: q for q in _quantities(derivatives.columns, model)}
+        self._directions = slices_of(derivatives.parameters)
+
+    def array(self, of: str, with_respect_to: str) -> Array:
+        """Return the derivatives of a quantity by a parameter; see `Result.sensitivity`."""
+        quantity, directions = self._quantities[of], self._directions[with_respect_to]
+        rows = self._derivatives.rows_of(quantity.part, directions)
+        by_time = np.moveaxis(rows, (0, 1), (2, 3))
+        return by_time.reshape(*by_time.shape[:2], *quantity.shape, -1)
 
 
 def _names(table: pa.Table, which: int) -> tuple[str, ...]:

@@ -31,16 +31,30 @@ class Derivatives(NamedTuple):
     """Derivatives of a run along all directions of its parameters.
 
     columns : differentiated quantities, `lierb.kernels.systems.derivatives.derivative_columns`.
-    rows : of the history, [column][direction][time][trajectory].
+    parts : of the history, [column][direction][time][trajectory], of DIRECTIONS directions each;
+    the last one may have more than there are.
     ends : at the end of each trajectory, [column][direction][trajectory].
     times : of the end times, s, [direction][trajectory]; zero but for ends by events.
     """
 
     parameters: tuple[Parameter, ...]
     columns: Columns
-    rows: Array
+    parts: tuple[Array, ...]
     ends: Array
     times: Array
+
+    @property
+    def rows(self) -> Array:
+        """Return the derivatives of the history, [column][direction][time][trajectory]."""
+        return np.concatenate(self.parts, axis=1)[:, : len(self.times)]
+
+    def rows_of(self, columns: slice, directions: slice) -> Array:
+        """Return the derivatives of some columns along some directions, likewise."""
+        first, last = directions.start // DIRECTIONS, (directions.stop - 1) // DIRECTIONS
+        parts = [part[columns] for part in self.parts[first : last + 1]]
+        joined = parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1)
+        before = first * DIRECTIONS
+        return np.asarray(joined[:, directions.start - before : directions.stop - before])
 
 
 def require_differentiable(ready: Ready, parameters: tuple[Parameter, ...]) -> None:
@@ -191,15 +205,14 @@ def _together(
     n, rows = ready.inputs.count, ready.times.saved_rows
     whole = columns.count * DIRECTIONS
 
-    def joined(arrays: list[Array], *shape: int) -> Array:
-        parts = [each[:whole].reshape(columns.count, DIRECTIONS, *shape) for each in arrays]
-        return np.concatenate(parts, axis=1)[:, :count]
+    def shaped(arrays: list[Array], *shape: int) -> tuple[Array, ...]:
+        return tuple(each[:whole].reshape(columns.count, DIRECTIONS, *shape) for each in arrays)
 
-    ends = joined(of_ends, n)
+    ends = np.concatenate(shaped(of_ends, n), axis=1)[:, :count]
     times = np.zeros((count, n))
     if events_of(plan):
         _end_at_events(ready, output, columns, ends, times, of_ends[0][whole:])
-    return Derivatives(parameters, columns, joined(of_rows, rows, n), ends, times)
+    return Derivatives(parameters, columns, shaped(of_rows, rows, n), ends, times)
 
 
 def _end_at_events(
