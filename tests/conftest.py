@@ -18,8 +18,10 @@ TOGETHER = {
     "results": ("result", "progress", "shown", "hostile", "memory"),
     "studies": ("cluster", "study", "dataset", "statistics"),
     "groups": ("lie", "lie_arrays", "log", "number_types"),
-    "derivatives": ("of_joints", "of_runs", "event_times", "through_functions", "names", "fit"),
-}
+    "derivatives": (
+        "of_joints", "of_runs", "event_times", "through_functions", "names", "fit", "fits"
+    ),
+}  # fmt: skip
 BY_JOINT = ("accuracy", "exactness", "multipliers", "prediction", "solvers")
 # What takes longest begins first, so that all processes end at the same time.
 LONGEST = (

@@ -51,7 +51,7 @@ def assert_same(many, i: int, single) -> None:
     """Compare experiment i with a single fit."""
     for name, exact in single.estimate.items():
         # SciPy stops a millionth of a standard error before numbers that are zero but for noise
-        most = 1e-8 * np.abs(exact) + 1e-6 * single.standard_errors[name]
+        most = 1e-8 * np.abs(exact).max() + 1e-6 * single.standard_errors[name]
         assert np.all(np.abs(many.estimate[name][i] - exact) <= most)
     deviations = np.sqrt(np.diag(single.covariance))
     deviations[deviations == 0.0] = 1.0  # of directions that the joint does not admit
