@@ -74,11 +74,6 @@ class Decomposed(NamedTuple):
     rows: Array
     is_told: NDArray[np.bool_]
 
-    def part(self, which: NDArray[Any]) -> Decomposed:
-        """Return the decompositions of some Jacobians of a stack."""
-        fields: tuple[Any, ...] = tuple(each[which] for each in self)
-        return Decomposed(*fields)
-
     @property
     def rank(self) -> NDArray[np.int64]:
         """Return the number of directions told, (…)."""

@@ -1,9 +1,9 @@
 """Levenberg–Marquardt steps of many least-squares problems at once, from triangular factors.
 
 The residuals r and the Jacobian J of a problem are as good as the factor R of [J r] = QR, which has
-as many rows as columns. A step minimises ‖J δ + r‖² + λ ‖δ‖² in units of the unknowns, in which the
-columns of J have length 1. λ is the least one with which the step stays within a radius (Moré, The
-Levenberg–Marquardt algorithm, 1978, by powers of 4).
+as many rows as columns. A step minimises ‖J δ + r‖². If it is longer than a radius, relative to the
+scales of the unknowns, it minimises ‖J δ + r‖² + λ ‖δ‖² with the λ by which it is as long as the
+radius (Moré, The Levenberg–Marquardt algorithm, 1978).
 """
 
 from __future__ import annotations
@@ -13,12 +13,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lierb.analysis.identifiability import Decomposed, decomposed
+from lierb.analysis.identifiability import decomposed
 from lierb.support.arrays import Array
 
 BLOCK = 4096  # numbers of a block of rows; larger ones occupy threads of BLAS, which takes longer
-LEAST_DAMPING = 1e-12
-MOST_RAISES = 40  # of the damping; 4⁴⁰ times the least one
+PULL = 1e-8  # weight of the point, relative to the data's: directions that these do not tell stay
+HALVINGS = 40  # of the interval of log λ
+WIDEST = 46.0  # its length
 GOOD, BAD = 0.75, 0.25  # decrease over prediction, beyond which the radius changes
 
 
@@ -75,31 +76,37 @@ def steps_of(factors: Array, scales: Array, radius: Array) -> Steps:
     jacobians, residuals = factors[..., :-1], factors[..., -1]
     parts = decomposed(jacobians, scales)
     along = np.where(parts.is_told, (residuals[..., None, :] @ parts.left)[..., 0, :], 0.0)
-    damping = np.full(len(factors), LEAST_DAMPING)
-    change, length = _damped(parts, along, damping, scales)
-    is_limited = length > radius
-    for _ in range(MOST_RAISES):
-        long = np.flatnonzero(length > radius)
-        if not long.size:
-            break
-        damping[long] *= 4.0
-        some = parts.part(long)
-        change[long], length[long] = _damped(some, along[long], damping[long], scales[long])
-    left = damping[:, None] / (parts.values**2 + damping[:, None])
+    weights = -along / np.where(parts.is_told, parts.values, 1.0)
+    change = (weights[..., None, :] @ parts.rows)[..., 0, :] * parts.units
+    is_limited = np.linalg.norm(change / scales, axis=-1) > radius
+    if is_limited.any():
+        change[is_limited] = _of_length(factors[is_limited], scales[is_limited], radius[is_limited])
+    effect = (jacobians @ change[..., None])[..., 0]
     return Steps(
-        change, length, np.sum(along**2 * (1.0 - left**2), axis=-1), is_limited,
+        change, np.linalg.norm(change / scales, axis=-1),
+        -np.sum(effect * (2.0 * residuals + effect), axis=-1), is_limited,
         np.linalg.norm(along, axis=-1),
         np.linalg.norm(jacobians * scales[:, None, :], axis=-2).max(axis=-1, initial=0.0),
         parts.rank,
     )  # fmt: skip
 
 
-def _damped(parts: Decomposed, along: Array, damping: Array, scales: Array) -> tuple[Array, Array]:
-    """Return the steps with a damping, and their lengths.   along : Uᵀr of directions told."""
-    size = parts.values.shape[-1]
-    weights = -along * parts.values / (parts.values**2 + damping[:, None])
-    change = (weights[..., None, :] @ parts.rows[..., :size, :])[..., 0, :] * parts.units
-    return change, np.linalg.norm(change / scales, axis=-1)
+def _of_length(factors: Array, scales: Array, radius: Array) -> Array:
+    """Return damped steps as long as the radius."""
+    jacobians, residuals = factors[..., :-1] * scales[:, None, :], factors[..., -1]
+    norms = np.linalg.norm(jacobians, axis=-2)
+    pull = PULL * norms[..., None] * np.eye(norms.shape[-1])
+    left, values, rows = np.linalg.svd(np.concatenate([jacobians, pull], -2), full_matrices=False)
+    gradient = values * (residuals[:, None, :] @ left[:, : residuals.shape[-1]])[:, 0]
+    high = np.log(np.linalg.norm(gradient, axis=-1) / radius)  # ‖δ‖ is less than ‖gradient‖/λ
+    low = high - WIDEST
+    for _ in range(HALVINGS):
+        middle = 0.5 * (low + high)
+        length = np.linalg.norm(gradient / (values**2 + np.exp(middle)[:, None]), axis=-1)
+        is_long = length > radius
+        low, high = np.where(is_long, middle, low), np.where(is_long, high, middle)
+    weights = -gradient / (values**2 + np.exp(high)[:, None])
+    return np.asarray((weights[:, None, :] @ rows)[:, 0] * scales)
 
 
 def next_radius(radius: Array, steps: Steps, decrease: Array) -> Array:

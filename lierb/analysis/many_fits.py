@@ -185,7 +185,7 @@ def _report(experiments: Experiments, ends: Minimised) -> Fits:
     chi2 = np.where(has_run, state["chi2"], np.nan)
     varied = experiments.varied(everyone, state)
     variation = Variation(varied, experiments.parameters, experiments.variation.t0)
-    unknowns = experiments.unknowns(everyone, variation)
+    unknowns = experiments.unknowns(everyone, variation, state["bases"])
     told = decomposed(state["factor"][..., :-1], state["sizes"])
     freedoms = experiments.residuals - told.rank
     scale = np.where(has_run, 1.0, np.nan)

@@ -30,6 +30,15 @@ def part_of(state: State, which: Any) -> State:
     return {name: array[which] for name, array in state.items()}
 
 
+def _by_trajectory(point: State, prefix: str) -> dict[str, Array]:
+    """Return the arrays with a prefix, by field or link, [trajectory]."""
+    return {
+        name.removeprefix(prefix): array.reshape(-1, *array.shape[2:])
+        for name, array in point.items()
+        if name.startswith(prefix)
+    }
+
+
 class Experiments:
     """Experiments with unknowns of their own, any of which can be run beside each other.
 
@@ -44,7 +53,7 @@ class Experiments:
         self.total = data.count // count
         self.names = [p.name for p in self.parameters]
         unknowns = Unknowns(variation, count, experiments=self.total)
-        self.size, self.least = unknowns.size, unknowns.sizes
+        self.size, self.least, self.bases = unknowns.size, unknowns.sizes, unknowns.bases
         present = [column.present.sum((0, 2)) for column in data.columns]
         self.residuals = np.sum(present, axis=0).reshape(-1, count).sum(-1)  # [experiment]
         self.most_steps: int | None = None
@@ -71,7 +80,8 @@ class Experiments:
         } | {
             "factor": np.zeros((n, size + 1, size + 1)), "chi2": np.full(n, np.inf),
             "slope": np.zeros((n, shared, shared)), "sizes": self.least.copy(),
-            "scales": np.ones((n, size)), "reason": np.full(n, "", dtype=object),
+            "scales": np.ones((n, size)), "bases": self.bases.copy(),
+            "reason": np.full(n, "", dtype=object),
         }  # fmt: skip
 
     def _grouped(self, array: Array, shape: tuple[int, ...]) -> Array:
@@ -89,23 +99,27 @@ class Experiments:
         model = self.model
         if (model.batch_size() or 1) > 1:
             model = model.part(int(which[0]) if is_single else which)
-        flat = {k: x.reshape(-1, *x.shape[2:]) for k, x in point.items()}
-        numbers = {
-            k.removeprefix(NUMBER): np.array(x[0]) if is_single else x
-            for k, x in flat.items() if k.startswith(NUMBER)
-        }  # fmt: skip
-        return Varied(
-            model.renumbered(numbers) if numbers else model,
-            {k.removeprefix(POSE): x for k, x in flat.items() if k.startswith(POSE)},
-            {k.removeprefix(TWIST): x for k, x in flat.items() if k.startswith(TWIST)},
-        )
+        numbers = _by_trajectory(point, NUMBER)
+        if is_single:
+            numbers = {field: np.array(x[0]) for field, x in numbers.items()}
+        model = model.renumbered(numbers) if numbers else model
+        return Varied(model, _by_trajectory(point, POSE), _by_trajectory(point, TWIST))
 
     def trajectories(self, members: Members) -> NDArray[np.int64]:
         """Return the indices of the trajectories of some experiments."""
         return np.asarray((members[:, None] * self.count + np.arange(self.count)).ravel())
 
-    def unknowns(self, members: Members, variation: Variation) -> Unknowns:
-        return Unknowns(variation, self.count, self.least[members], len(members))
+    def unknowns(
+        self, members: Members, variation: Variation, bases: Array | None = None
+    ) -> Unknowns:
+        """Return the unknowns of some experiments.
+
+        bases : those by which "factor" differentiates; others may span the same directions.
+        """
+        unknowns = Unknowns(variation, self.count, self.least[members], len(members))
+        if bases is not None:
+            unknowns.bases = bases
+        return unknowns
 
     # ---- runs ----------------------------------------------------------------------------------
 
@@ -116,7 +130,8 @@ class Experiments:
 
         Returns the point with "factor", R of [J r] by the unknowns, "chi2", infinite if the run
         fails or no body has the numbers, "slope", derivatives of the shared unknowns by their
-        coordinates, "sizes", "scales" and "reason" of a failure. Raises LierbError for a guess.
+        coordinates, "bases" of starts, "sizes", "scales" and "reason" of a failure. Raises
+        LierbError for a guess.
         """
         try:
             return self._tried(members, point, steps)
@@ -137,7 +152,7 @@ class Experiments:
     def _tried(self, members: Members, point: State, steps: Array) -> State:
         variation = Variation(self.varied(members, point), self.parameters, self.variation.t0)
         if steps.any():
-            unknowns = self.unknowns(members, variation)
+            unknowns = self.unknowns(members, variation, point["bases"])
             moved = variation.at(unknowns.changes(unknowns.base + steps))
             variation = Variation(moved, self.parameters, self.variation.t0)
         unknowns = self.unknowns(members, variation)
@@ -149,9 +164,9 @@ class Experiments:
         factors, is_whole = self._factors(members, result, unknowns)
         chi2 = np.where(is_whole, np.sum(factors[..., -1] ** 2, axis=-1), np.inf)
         return self.point_of(variation.base) | {
-            "factor": factors, "chi2": chi2, "slope": unknowns.slope(unknowns.base),
-            "sizes": unknowns.sizes, "scales": unknowns.scales,
-            "reason": self._reasons(result, is_whole),
+            "factor": factors, "chi2": chi2, "bases": unknowns.bases,
+            "slope": unknowns.slope(unknowns.base), "sizes": unknowns.sizes,
+            "scales": unknowns.scales, "reason": self._reasons(result, is_whole),
         }  # fmt: skip
 
     def _failed(self, members: Members, point: State, reason: str) -> State:
