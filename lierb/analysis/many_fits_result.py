@@ -104,24 +104,25 @@ class Fits(Represented):
         """
         return self.has_sigma & is_misfit(self.reduced_chi2, self.freedoms)
 
-    @cached_property
+    @property
     def scatter(self) -> dict[str, Array]:
         """Return the standard deviations of the estimates over all converged fits, by name.
 
         Deviations of a pose are log(C₀⁻¹C), with the first converged fit's C₀.
         """
-        return {name: self._scatter(name) for name in self.estimate}
+        return {name: _spread(each) for name, each in self._deviations.items()}
 
     @property
     def ratio(self) -> dict[str, Array]:
-        """Return the scatter over the root mean square of the standard errors, by name.
+        """Return the standard deviation of (estimate − mean)/standard error, by name.
 
-        It is about 1 if all experiments measure the same numbers and linear theory holds.
+        It is about 1 if all experiments measure the same numbers and linear theory holds, but for
+        a pose that points of its joint move, which are estimated too.
         """
         with np.errstate(divide="ignore", invalid="ignore"):
             return {
-                name: each / np.sqrt(np.mean(self.standard_errors[name][self.converged] ** 2, 0))
-                for name, each in self.scatter.items()
+                name: _spread(each / self.standard_errors[name][self.converged])
+                for name, each in self._deviations.items()
             }
 
     @property
@@ -150,13 +151,16 @@ class Fits(Represented):
                 fields.append(pa.field(label, columns[label].type, metadata=unit))
         return pa.Table.from_arrays(list(columns.values()), schema=pa.schema(fields))
 
-    def _scatter(self, name: str) -> Array:
-        values = self.estimate[name][self.converged]
-        if name.endswith("pose0") and len(values):
-            values = se3.log(se3.inverse(values[:1]) @ values)
-        if len(values) < 2:
-            return np.full(self.standard_errors[name].shape[1:], np.nan)
-        return np.asarray(np.std(values, axis=0, ddof=1))
+    @cached_property
+    def _deviations(self) -> dict[str, Array]:
+        """Deviations of the converged fits from their mean, by name."""
+        deviations = {}
+        for name, each in self.estimate.items():
+            values = each[self.converged]
+            if name.endswith("pose0") and len(values):
+                values = se3.log(se3.inverse(values[:1]) @ values)
+            deviations[name] = values - values.mean(axis=0) if len(values) else values
+        return deviations
 
     # ---- description ---------------------------------------------------------------------------
 
@@ -193,6 +197,13 @@ class Fits(Represented):
         for i, label in enumerate(labels):
             mean = "mean pose" if name.endswith("pose0") else f"mean {means[i]:.6g}"
             yield label, f"{mean}, scatter {scatter[i]:.2g}, {ratios[i]:.3g} standard errors"
+
+
+def _spread(deviations: Array) -> Array:
+    """Return the standard deviation of deviations from a mean; NaN of less than two."""
+    if len(deviations) < 2:
+        return np.full(deviations.shape[1:], np.nan)
+    return np.asarray(np.sqrt(np.sum(deviations**2, axis=0) / (len(deviations) - 1)))
 
 
 def _flags(values: NDArray[np.bool_]) -> pa.Array:
