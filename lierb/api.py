@@ -35,7 +35,7 @@ from lierb.runs.derivatives import (
 )
 from lierb.runs.options import Options
 from lierb.runs.output import Output
-from lierb.runs.parameters import chosen_parameters
+from lierb.runs.parameters import Parameter, chosen_parameters
 from lierb.runs.provenance import provenance
 from lierb.runs.starts import Ready, ready
 from lierb.runs.stiff_runs import warn_of_stiff_run
@@ -266,7 +266,7 @@ def integrate_model(
     pose0: Any,
     twist0: Any,
     *,
-    with_respect_to: str | Iterable[str] = (),
+    with_respect_to: str | Iterable[str | Parameter] = (),
     threads: int | None = None,
     progress: Progress = None,
     stacklevel: int = 2,

@@ -30,7 +30,6 @@ class Task:
         """least : least size of each unknown; that of a number that becomes zero is no guide."""
         self.variation, self.data, self.runs = variation, data, runs
         self.unknowns = Unknowns(variation, data.count, least)
-        self.names = [p.name for p in variation.parameters]
 
     def varied(self, x: Array) -> Varied:
         return self.variation.at(self.unknowns.changes(x))
@@ -38,7 +37,7 @@ class Task:
     @cached_property
     def at_base(self) -> Result:
         """Return the run of the base, with derivatives. Raises ArgumentError if it fails."""
-        result = self.runs.result(self.variation.base, self.names)
+        result = self.runs.result(self.variation.base, self.variation.parameters)
         if failures := Failures.of(result.summary):
             raise ArgumentError(f"the run of the guess fails, {failures}; give a better guess")
         return result
@@ -96,7 +95,9 @@ class Task:
     def jacobian(self, x: Array) -> Array:
         """Return the derivatives of the weighted residuals by the coordinates."""
         at_base = np.array_equal(x, self.unknowns.base)
-        result = self.at_base if at_base else self.runs.result(self.varied(x), self.names)
+        result = (
+            self.at_base if at_base else self.runs.result(self.varied(x), self.variation.parameters)
+        )
         jacobian = self._by_coordinates(result, x)
         return np.concatenate([jacobian, np.diag(self.pull)]) if len(self.pull) else jacobian
 

@@ -22,7 +22,13 @@ from lierb.model.mechanism.mechanism import Mechanism
 from lierb.model.problem import Problem
 from lierb.runs.parameters import Parameter, chosen_parameters
 from lierb.runs.switches import warn_of_switches
-from lierb.runs.variations import Variation, Varied, with_start
+from lierb.runs.variations import (
+    Variation,
+    Varied,
+    fixed_directions,
+    with_directions,
+    with_start,
+)
 from lierb.support.arrays import Array, is_whole
 from lierb.support.collected_warnings import warnings_collected
 from lierb.support.extras import require
@@ -104,7 +110,8 @@ def fit(
     Differences of rotations and poses are log(R_dataᵀ R) and log(C_data⁻¹ C), in body axes. If
     "body.inertia" is a parameter, mass, centre of mass and inertia are varied in log-Cholesky
     coordinates of the pseudo-inertia. A trial of numbers that no body has, or whose run fails, is
-    answered by a shorter step. The Jacobian is a dense matrix.
+    answered by a shorter step. The Jacobian is a dense matrix. `lierb.fits` fits many experiments
+    with unknowns of their own.
 
     Examples
     --------
@@ -175,6 +182,8 @@ def _of_trajectories(base: Varied, count: int, parameters: tuple[Parameter, ...]
 
 def _solved(variation: Variation, data: Measurements, runs: Runs, bounds: Any, most: int) -> Fit:
     """Minimise; begin again at the estimate where the path to it matters; report."""
+    parameters = with_directions(variation.parameters, fixed_directions(variation))
+    variation = Variation(variation.base, parameters, variation.t0)
     evaluations, task = 0, Task(variation, data, runs)
     if data.size < task.unknowns.size:
         raise ArgumentError(

@@ -16,7 +16,13 @@ from lierb.errors import ArgumentError, LierbError, MemoryLimitError
 from lierb.results.columns import as_array, as_codes
 from lierb.results.failures import has_failed
 from lierb.results.result import Result
-from lierb.runs.variations import Variation, Varied, item_shape
+from lierb.runs.variations import (
+    Variation,
+    Varied,
+    fixed_directions,
+    item_shape,
+    with_directions,
+)
 from lierb.support.arrays import Array
 
 State = dict[str, Array]  # arrays by name, [experiment]
@@ -51,7 +57,7 @@ class Experiments:
         self.variation, self.data, self.count, self.runs = variation, data, count, runs
         self.model, self.parameters = variation.model, variation.parameters
         self.total = data.count // count
-        self.names = [p.name for p in self.parameters]
+        self.fixed = fixed_directions(variation)
         unknowns = Unknowns(variation, count, experiments=self.total)
         self.size, self.least, self.bases = unknowns.size, unknowns.sizes, unknowns.bases
         present = [column.present.sum((0, 2)) for column in data.columns]
@@ -150,15 +156,16 @@ class Experiments:
         return {name: np.concatenate([first[name], second[name]]) for name in first}
 
     def _tried(self, members: Members, point: State, steps: Array) -> State:
-        variation = Variation(self.varied(members, point), self.parameters, self.variation.t0)
+        parameters = with_directions(self.parameters, self.fixed, self.trajectories(members))
+        variation = Variation(self.varied(members, point), parameters, self.variation.t0)
         if steps.any():
             unknowns = self.unknowns(members, variation, point["bases"])
             moved = variation.at(unknowns.changes(unknowns.base + steps))
-            variation = Variation(moved, self.parameters, self.variation.t0)
+            variation = Variation(moved, parameters, self.variation.t0)
         unknowns = self.unknowns(members, variation)
         if unknowns.size != self.size:
             raise ArgumentError("joints or loops admit other motions of the start than the guess")
-        result = self._runs(members, not steps.any()).result(variation.base, self.names, False)
+        result = self._runs(members, not steps.any()).result(variation.base, parameters, False)
         if self.most_steps is None and "steps" in result.summary.column_names:
             self.most_steps = self.runs.most_steps(result.summary)
         factors, is_whole = self._factors(members, result, unknowns)

@@ -12,6 +12,7 @@ from lierb.errors import unknown_name
 from lierb.results.columns import as_array
 from lierb.results.result import Result
 from lierb.runs.options import Options
+from lierb.runs.parameters import Parameter
 from lierb.runs.variations import Varied
 from lierb.support.arrays import Array
 
@@ -33,7 +34,7 @@ class Runs(NamedTuple):
         return Options.of(model, **self.keywords)
 
     def result(
-        self, varied: Varied, parameters: Iterable[str] = (), has_tables: bool = True
+        self, varied: Varied, parameters: Iterable[str | Parameter] = (), has_tables: bool = True
     ) -> Result:
         """Return the run of a model from its start.
 

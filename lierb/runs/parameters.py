@@ -68,6 +68,9 @@ def chosen_parameters(model: Model, given: Any) -> tuple[Parameter, ...]:
     known = {p.name: p for p in _parameters(model)}
     parameters: dict[str, Parameter] = {}
     for name in names:
+        if isinstance(name, Parameter):  # of fits, with directions of their own
+            parameters[name.name] = name
+            continue
         if not isinstance(name, str):
             raise ArgumentError(f"with_respect_to has {brief(name)}; expected {expected}")
         table, _, rest = name.partition(".")

@@ -17,9 +17,9 @@ from lierb.model.base import Model
 from lierb.model.mechanism.mechanism import Mechanism
 from lierb.model.problem import Problem
 from lierb.runs.parameters import Parameter
-from lierb.runs.start_directions import Start, carried
+from lierb.runs.start_directions import Seeds, Start, carried
 from lierb.runs.starts import arrays_of, at_rest
-from lierb.support.arrays import Array, assembled, pose_matrix
+from lierb.support.arrays import Array, Which, assembled, pose_matrix
 
 Changes = Mapping[str, Array]  # by parameter: (k,), or (n, k) for each trajectory
 
@@ -170,6 +170,34 @@ class Variation:
         shape = item_shape(own, p)
         flat = own.reshape(*own.shape[: own.ndim - len(shape)], -1)
         return np.asarray(flat[..., np.argmax(units != 0.0, axis=1)])
+
+
+def fixed_directions(variation: Variation) -> dict[str, Seeds]:
+    """Return the seeds of starts that stay those of the base, by parameter; empty if poses move.
+
+    The rates of links that no parameter names follow by least kinetic energy, which depends on
+    masses: the directions are fixed, so that a start depends on its unknowns alone.
+    """
+    starts = [p for p in variation.parameters if p.is_start]
+    is_geometric = any(not p.is_start and len(p.fields) > 1 for p in variation.parameters)
+    if is_geometric or any(p.name.endswith("pose0") for p in starts):
+        return {}
+    with np.errstate(all="ignore"):
+        return {p.name: p.seeds(variation.start) for p in starts}
+
+
+def with_directions(
+    parameters: tuple[Parameter, ...], fixed: Mapping[str, Seeds], which: Which = slice(None)
+) -> tuple[Parameter, ...]:
+    """Return parameters whose directions are fixed, those of some trajectories."""
+
+    def directed(p: Parameter) -> Parameter:
+        if p.name not in fixed:
+            return p
+        own = {k: x[:, which] if x.shape[1] > 1 else x for k, x in fixed[p.name].items()}
+        return p._replace(seeds=lambda start: own)
+
+    return tuple(directed(p) for p in parameters)
 
 
 def item_shape(own: Array, p: Parameter) -> tuple[int, ...]:
