@@ -18,6 +18,7 @@ from lierb.analysis.unknowns import Unknowns, guessed
 from lierb.analysis.varied_runs import Runs, runs_of
 from lierb.api import checked_model
 from lierb.errors import ArgumentError, brief
+from lierb.model.base import Model
 from lierb.model.mechanism.mechanism import Mechanism
 from lierb.model.problem import Problem
 from lierb.runs.parameters import Parameter, chosen_parameters
@@ -131,22 +132,29 @@ def fit(
     require("scipy")
     model = checked_model(problem)
     given = measurements(model, data, sigma)
+    chosen, by_name = chosen_and_guesses(model, given, parameters)
+    require_whole("max_evaluations", max_evaluations)
+    base = _of_trajectories(with_start(model, pose0, twist0), given.count, chosen)
+    runs = fit_runs(given, t0, t_end, options)
+    warn_of_switches(model, stacklevel=3)
+    variation = guessed(Variation(base, chosen, runs.options(model).timing.t0), by_name)
+    with warnings_collected(), warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        return _solved(variation, given, runs, bounds, int(max_evaluations))
+
+
+def chosen_and_guesses(
+    model: Model, given: Measurements, parameters: Any
+) -> tuple[tuple[Parameter, ...], dict[str, Any]]:
+    """Return the parameters of a fit, and their guesses by name. Raises ArgumentError."""
     guesses = dict(parameters) if isinstance(parameters, Mapping) else {}
     names = [*guesses] if isinstance(parameters, Mapping) else parameters
     chosen = chosen_parameters(model, names)
     if not chosen:
         raise ArgumentError("parameters is empty; expected names, such as body.mass")
-    require_whole("max_evaluations", max_evaluations)
     for column in given.columns:
         require_derivatives(column.quantity, chosen)
-    base = _of_trajectories(with_start(model, pose0, twist0), given.count, chosen)
-    runs = fit_runs(given, t0, t_end, options)
-    warn_of_switches(model, stacklevel=3)
-    by_name = {p.name: guess for p, guess in zip(chosen, guesses.values(), strict=False)}
-    variation = guessed(Variation(base, chosen, runs.options(model).timing.t0), by_name)
-    with warnings_collected(), warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        return _solved(variation, given, runs, bounds, int(max_evaluations))
+    return chosen, {p.name: x for p, x in zip(chosen, guesses.values(), strict=False)}
 
 
 def require_whole(argument: str, given: Any) -> None:

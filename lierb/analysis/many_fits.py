@@ -10,18 +10,22 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lierb.analysis.experiments import flat_start, measured_experiments, of_experiments
-from lierb.analysis.fitting import described_directions, fit_runs, require_whole
+from lierb.analysis.fitting import (
+    chosen_and_guesses,
+    described_directions,
+    fit_runs,
+    require_whole,
+)
 from lierb.analysis.identifiability import Direction, decomposed, identified, of_numbers
 from lierb.analysis.many_fits_result import Fits
 from lierb.analysis.minimising import Minimisation, Minimised
-from lierb.analysis.quantities import require_derivatives
 from lierb.analysis.side_by_side import Experiments, State
 from lierb.analysis.unknowns import Unknowns, guessed
 from lierb.api import checked_model
 from lierb.errors import ArgumentError, FailedFitWarning
 from lierb.model.mechanism.mechanism import Mechanism
 from lierb.model.problem import Problem
-from lierb.runs.parameters import Parameter, chosen_parameters
+from lierb.runs.parameters import Parameter
 from lierb.runs.switches import warn_of_switches
 from lierb.runs.variations import Variation, with_start
 from lierb.support.collected_warnings import warnings_collected
@@ -129,21 +133,17 @@ def fits(
     model = checked_model(problem)
     check_progress(progress)
     given, count = measured_experiments(model, data, sigma)
-    guesses = dict(parameters) if isinstance(parameters, Mapping) else {}
-    chosen = chosen_parameters(model, [*guesses] if guesses else parameters)
-    if not chosen:
-        raise ArgumentError("parameters is empty; expected names, such as body.mass")
+    chosen, guesses = chosen_and_guesses(model, given, parameters)
     require_whole("max_iterations", max_iterations)
-    for column in given.columns:
-        require_derivatives(column.quantity, chosen)
     start = with_start(model, flat_start(pose0, 2), flat_start(twist0, 1))
     base = of_experiments(start, given.count // count, count)
     runs = fit_runs(given, t0, t_end, options)
     warn_of_switches(model, stacklevel=3)
     variation = Variation(base, chosen, runs.options(model).timing.t0)
     by_name = {
-        p.name: _by_trajectory(guess, p, given.count // count, count)
-        for p, guess in zip(chosen, guesses.values(), strict=False)
+        p.name: _by_trajectory(guesses[p.name], p, given.count // count, count)
+        for p in chosen
+        if p.name in guesses
     }
     with warnings_collected(), warnings.catch_warnings():
         warnings.simplefilter("ignore")
@@ -173,7 +173,9 @@ def _solved(experiments: Experiments, max_iterations: int, progress: Progress) -
     each = experiments.bytes_each
     most = max(ROOM // each, 1)
     size = experiments.bytes_of_state + each * min(most, experiments.total)
-    require_memory(size, "the fits", "fit fewer experiments at a time, or with fewer samples")
+    require_memory(
+        size, "a run of the fits", "fit fewer experiments at a time, or with fewer samples"
+    )
     minimisation = Minimisation(experiments, max_iterations)
     with reporter(progress, experiments.total, "fits") as report:
         return _report(experiments, minimisation.run(most, report))

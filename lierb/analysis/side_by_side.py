@@ -165,7 +165,9 @@ class Experiments:
         unknowns = self.unknowns(members, variation)
         if unknowns.size != self.size:
             raise ArgumentError("joints or loops admit other motions of the start than the guess")
-        result = self._runs(members, not steps.any()).result(variation.base, parameters, False)
+        result = self._runs(members, not steps.any()).result(
+            variation.base, parameters, has_tables=False
+        )
         if self.most_steps is None and "steps" in result.summary.column_names:
             self.most_steps = self.runs.most_steps(result.summary)
         factors, is_whole = self._factors(members, result, unknowns)

@@ -435,5 +435,5 @@ def test_arguments_that_do_not_fit_are_refused(data, more, message):
 def test_memory_is_estimated_before(monkeypatch):
     monkeypatch.setattr("lierb.support.memory.available", lambda: 1 << 10)
     monkeypatch.setattr("lierb.support.memory.ALWAYS", 0)
-    with pytest.raises(lierb.errors.MemoryLimitError, match="the fits takes"):
+    with pytest.raises(lierb.errors.MemoryLimitError, match="a run of the fits takes"):
         fitted(pendulum(), measured(4))
