@@ -115,8 +115,8 @@ def start_of_mechanism(mechanism: TreeKinematics, pose: Any, twist: Any, t0: flo
     The speed is the sum of the links' speeds: at a dead point the links of a joint may be at rest,
     except for the rounding of the other links' speed.
     """
-    placed = [_side_by_side(pose_components(pose[name])) for name in mechanism.names]
-    moving = [_side_by_side(components(twist[name])) for name in mechanism.names]
+    placed = [_side_by_side(pose_components(np.asarray(pose[name]))) for name in mechanism.names]
+    moving = [_side_by_side(components(np.asarray(twist[name]))) for name in mechanism.names]
     sizes = {f"pose0[{n!r}]": placed[i][1][0] for i, n in enumerate(mechanism.names)}
     sizes |= {f"twist0[{n!r}]": moving[i][0] for i, n in enumerate(mechanism.names)}
     count = mechanism.batch_size(**sizes) or 1
