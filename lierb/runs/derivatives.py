@@ -61,8 +61,6 @@ def _obstacles(ready: Ready) -> Iterator[str]:
             "a run that continues from result.end keeps the state of the kernels, which has no "
             "derivatives by a start; begin with a copy of its poses, pose0=pose0.copy()"
         )
-    for controller in ready.model.controllers:
-        yield f"the outputs of {controller.name} are not differentiated; leave controllers out"
     if isinstance(plan, MechanismPlan) and plan.is_in_memory and events_of(plan):
         yield (
             'solver="looped" has no derivatives of events; take solver="unrolled", which is '

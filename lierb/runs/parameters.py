@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from lierb.errors import ArgumentError, LierbError, brief, items_of, unknown_name
-from lierb.kernels.mechanics.elements import INITIAL
+from lierb.kernels.mechanics.elements import EVERY, INITIAL, UserController
 from lierb.kernels.mechanics.rows import parameters_of
 from lierb.kernels.systems.layout import INPUTS
 from lierb.model.acting import ELEMENTS
@@ -82,11 +82,11 @@ def chosen_parameters(model: Model, given: Any) -> tuple[Parameter, ...]:
 
 def _unknown(model: Model, name: str, known: dict[str, Parameter]) -> LierbError:
     for element, label, _ in labelled(model):
-        for parameter in element.kind.discontinuities:
+        for parameter in _times(element):
             if name == f"{label}.{parameter}":
                 return ArgumentError(
-                    f"with_respect_to={brief(name)} is a time at which {element.name} jumps, by "
-                    "which the motion is not differentiated; leave it out"
+                    f"with_respect_to={brief(name)} determines times at which {element.name} "
+                    "jumps, by which the motion is not differentiated; leave it out"
                 )
     return unknown_name("with_respect_to", name, known)
 
@@ -124,7 +124,7 @@ def _of_joints(model: Model) -> Iterator[Parameter]:
 
 def _of_element(model: Model, element: Element, label: str, field: str) -> Iterator[Parameter]:
     for name, shape in element.kind.shapes.items():
-        if name in element.kind.discontinuities:
+        if name in _times(element):
             continue
         short, unit = element.short(name), _unit(element, name)
         seeds = {f"{field}{name}": np.eye(prod(shape))[:, None]}
@@ -132,6 +132,12 @@ def _of_element(model: Model, element: Element, label: str, field: str) -> Itera
             yield _geometric(model, f"{label}.{short}", unit, seeds)
         else:
             yield _plain(f"{label}.{short}", f"{field}{name}", np.eye(prod(shape)), unit)
+
+
+def _times(element: Element) -> tuple[str, ...]:
+    """Return the parameters of an element that determine times at which it jumps."""
+    period = (EVERY,) if isinstance(element.kind, UserController) else ()
+    return (*element.kind.discontinuities, *period)
 
 
 def _unit(element: Element, parameter: str) -> str:

@@ -14,11 +14,11 @@ from lierb.model.functions.elements import Element
 
 
 def warn_of_switches(model: Model, **options: Any) -> None:
-    """Issue one DerivativeWarning if a force, constraint or state of the model switches.
+    """Issue one DerivativeWarning if a force, constraint, state or controller switches.
 
     options : keywords of `warnings.warn`.
     """
-    acting = (*model.forces, *model.constraints, *model.states)
+    acting = (*model.forces, *model.constraints, *model.states, *model.controllers)
     names = dict.fromkeys(element.name for element in acting if _switches(element))
     if names:
         warnings.warn(

@@ -129,7 +129,7 @@ class TreeLoop(LoopForces):
         tree.for_links(link)
         column = tree[at.LINKS] * 12
         energy = self.measured(body, state, seen, time).values["energy"]
-        scalars = (*state.states, energy, *self.observed(body, seen, time))
+        scalars = (*state.states, *body.signals.controls, energy, *self.observed(body, seen, time))
         put_at(column, scalars)
         column = column + len(scalars)
         rows = tree[at.ROWS] * int(self.plan.multipliers)
