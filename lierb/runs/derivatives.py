@@ -61,11 +61,6 @@ def _obstacles(ready: Ready) -> Iterator[str]:
             "a run that continues from result.end keeps the state of the kernels, which has no "
             "derivatives by a start; begin with a copy of its poses, pose0=pose0.copy()"
         )
-    if isinstance(plan, MechanismPlan) and plan.is_in_memory and events_of(plan):
-        yield (
-            'solver="looped" has no derivatives of events; take solver="unrolled", which is '
-            "compiled for this tree"
-        )
     if not plan.is_explicit:
         name = ready.options.timing.method.name
         yield f"{name} has no derivatives; take an explicit method, such as RK4 or DOP853"

@@ -140,14 +140,14 @@ def moved_in_body(link: Vec, directions: int) -> tuple[Any, ...]:
     return tuple(x for of_number in zip(*along, strict=True) for x in of_number)
 
 
-def in_time(system: Any, body: Any, state: State, time: Any) -> State:
-    """Make an explicit Euler step of length 0 + ε: the only part is the time derivative.
+def in_time(system: Any, body: Any, state: State, time: Any, directions: int = 1) -> State:
+    """Make an explicit Euler step of length 0 + ε: the first part is the time derivative.
 
-    body, state : without derivatives.
+    body, state : without derivatives.   directions : number of parts; others are zero.
     """
     still = system.combine(body, state, (), Slopes(), Units(0.0, 0.0, 0.0))
     rates = system.stage_rates(body, still, system.chart_gravity(body, state.chart), time)
-    h = Dual(0.0 * time, (1.0,))
+    h = Dual(0.0 * time, (1.0, *(0.0,) * (directions - 1)))
     moved: State = system.combine(
         body, state, (1.0,), Slopes().with_stage(rates), Units(0.5 * h, h, h)
     )
