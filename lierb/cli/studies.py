@@ -6,6 +6,7 @@ import os
 import shlex
 from collections.abc import Iterator
 from contextlib import contextmanager
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -170,8 +171,8 @@ def run(
     if report:
         require("report")  # before the run, not after it
     from lierb.studies.description.study import Study
+    from lierb.studies.execution.foreseen import foreseen
     from lierb.studies.execution.running import run as run_study
-    from lierb.studies.execution.stiff_steps import stiff_settings
 
     folder = folder_of(Path("results") / study.stem if out is None else out)
     _require_one_way(workers, scheduler, gather, report, only)
@@ -187,7 +188,7 @@ def run(
         from lierb.studies.findings.ranking import ranking_named
 
         ranking_named(loaded, rank_by)  # raises before the run, not after it
-    for message in stiff_settings(loaded):
+    for message in chain.from_iterable(foreseen(loaded).values()):
         click.secho(wrapped(message), fg="yellow", err=True)
     try:
         with _client(workers, scheduler) as client, warnings_collected():

@@ -23,7 +23,7 @@ from lierb.studies.execution.cluster import spread
 from lierb.studies.execution.opening import loaded, opened, unentered
 from lierb.studies.execution.order import InTurn
 from lierb.studies.execution.replaying import REPLAY
-from lierb.studies.execution.stiff_steps import warn_of_stiff_steps
+from lierb.studies.execution.foreseen import warn_before
 from lierb.studies.storage.files import Stored, parquet_files
 from lierb.studies.storage.parts import Part
 from lierb.studies.storage.store import Store
@@ -172,7 +172,7 @@ def run(
         raise ArgumentError("resume=True keeps what overwrite=True deletes; give one of them")
     study, out = _study_and_folder(study, design, out, settings)
     given, text = loaded(study, changes)
-    warn_of_stiff_steps(given, stacklevel=3)
+    warn_before(given, stacklevel=3)
     store = Store(out)
     with store.locked():
         parts = opened(store, given, text, changes, resume, overwrite)
