@@ -350,11 +350,13 @@ def _report(
 
 
 def _show(dataset: Dataset, probabilities: tuple[float, ...]) -> None:
-    from lierb.studies.findings.findings import crossings, findings, indices, quantities
+    from lierb.studies.findings.findings import crossings, findings, indices, linear, quantities
+    from lierb.studies.findings.linear_theory import left_out
     from lierb.studies.findings.tables import (
         table_of,
         table_of_events,
         table_of_indices,
+        table_of_linear_theory,
         table_of_quantities,
     )
 
@@ -367,6 +369,11 @@ def _show(dataset: Dataset, probabilities: tuple[float, ...]) -> None:
     if sensitivities := indices(dataset):
         click.echo()
         print_whole(table_of_indices(sensitivities))
+    if theory := linear(dataset, probabilities):
+        click.echo()
+        print_whole(table_of_linear_theory(theory))
+        for line in (*left_out(theory), *(each.warning for each in theory if each.warning)):
+            click.secho(wrapped(line), fg="yellow")
     done, total = len(dataset.parts), dataset.manifest["asked"]
     state = dataset.rest(f"the rest with: {_again(dataset, '--resume')}")
     click.echo(f"{dataset.folder}: {done} of {total} parts{state}")

@@ -75,7 +75,9 @@ class Sensitivities(NamedTuple):
             pairs = (name.partition(SEPARATOR) for name in table.column_names)
             return table.rename_columns([f"{of}{by}{new.get(p, p)}" for of, by, p in pairs])
 
-        return Sensitivities(renamed(self.summary), None if self.history is None else renamed(self.history))
+        return Sensitivities(
+            renamed(self.summary), None if self.history is None else renamed(self.history)
+        )
 
 
 def _names(table: pa.Table, which: int) -> tuple[str, ...]:

@@ -24,7 +24,7 @@ def warn_before(study: Study, stacklevel: int) -> None:
 
 def foreseen(study: Study) -> dict[type[Warning], list[str]]:
     """Return the messages of a study's warnings, by category."""
-    messages = {StiffStepWarning: stiff_settings(study)}
+    messages: dict[type[Warning], list[str]] = {StiffStepWarning: stiff_settings(study)}
     if study.integrate.sensitivities:
         messages[DerivativeWarning] = [switches_of(study.batch(0, 1).problem)]
     return {category: own for category, own in messages.items() if any(own)}

@@ -20,10 +20,10 @@ from lierb.studies.description.from_python import study_of
 from lierb.studies.description.study import Study
 from lierb.studies.description.study_file import plain_changes
 from lierb.studies.execution.cluster import spread
+from lierb.studies.execution.foreseen import warn_before
 from lierb.studies.execution.opening import loaded, opened, unentered
 from lierb.studies.execution.order import InTurn
 from lierb.studies.execution.replaying import REPLAY
-from lierb.studies.execution.foreseen import warn_before
 from lierb.studies.storage.files import Stored, parquet_files
 from lierb.studies.storage.parts import Part
 from lierb.studies.storage.store import Store

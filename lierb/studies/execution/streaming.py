@@ -13,9 +13,9 @@ from lierb.results.failures import Failures, warn_of
 from lierb.studies.description.settings import Setting
 from lierb.studies.description.stopping import Bodies
 from lierb.studies.description.study import Study
+from lierb.studies.execution.foreseen import warn_before
 from lierb.studies.execution.opening import loaded
 from lierb.studies.execution.replaying import REPLAY
-from lierb.studies.execution.foreseen import warn_before
 from lierb.studies.storage.parts import Parts
 
 

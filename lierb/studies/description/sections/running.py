@@ -24,8 +24,8 @@ class IntegrateSection(Section):
     """Arguments of `lierb.integrate`; lists of cspace, method, dt and rtol are run as a product.
 
     With rtol or atol, steps are adaptive and dt is the first step.
-    sensitivities : names of `with_respect_to` in `lierb.integrate`, and of elements' numbers such as
-    `forces.drag.linear`.
+    sensitivities : inputs by which the end of each trajectory is differentiated: names of
+    `with_respect_to` in `lierb.integrate`; numbers of elements as in [sample].
     """
 
     model_config = SECTION | ConfigDict(
