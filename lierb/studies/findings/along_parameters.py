@@ -25,6 +25,7 @@ from lierb.support.arrays import Array
 STEP = 1e-4  # of the differences, standard deviations
 RANK = 1e-10  # relative size of singular values that count as zero
 NEGLIGIBLE = 1e-6  # change by a standard deviation, relative to the largest number of the field
+AXES = "axes"  # of a frame, by which nothing is differentiated
 
 Fields = dict[str, Array]  # by field of the inputs, (n, numbers, …)
 
@@ -109,12 +110,15 @@ class AlongParameters:
         return np.asarray(inverse / lengths[:, :, None])
 
     def _unexplained(self, change: Fields, weights: Array) -> Iterator[str]:
-        """Yield the fields of which a change is no sum of the directions."""
+        """Yield the fields of which a change is no sum of the directions; a frame's axes as AXES."""
         inputs = _inputs_of(self.base)
         for field, own in change.items():
             along = self.directions.get(field)
-            off = own if along is None else own - along @ weights
-            if np.abs(off).max() > NEGLIGIBLE * np.abs(inputs[field]).max():
+            off = np.abs(own if along is None else own - along @ weights)
+            least = NEGLIGIBLE * np.abs(inputs[field]).max()
+            if field.endswith("_frame") and off[:, :9].max() > least:
+                yield AXES
+            elif off.max() > least:
                 yield field
 
     def _remedy(self, fields: list[str]) -> str:
@@ -126,10 +130,11 @@ class AlongParameters:
         for field, link in zip(model.fields, model.link_names, strict=True):
             prefix = f"{link}." if link else ""
             owners |= {f"{field}{x}": f"{prefix}{x}0" for x in ("pose", "twist")}
-        names = dict.fromkeys(owners[field] for field in fields if field in owners)
-        if lacking := [name for name in names if name not in self.parameters]:
-            return f"{KEY} lacks what it changes, {', '.join(lacking)}"
-        return "lierb has no derivative by what it changes"
+        names = dict.fromkeys(owners.get(field, AXES) for field in fields)
+        lacking = [name for name in names if name not in self.parameters]
+        if AXES in lacking or not lacking:
+            return "lierb has no derivative by what it changes"
+        return f"{KEY} lacks what it changes, {', '.join(lacking)}"
 
 
 def _inputs_of(varied: Varied) -> Fields:
