@@ -76,22 +76,22 @@ def drawn(dataset) -> tuple[np.ndarray, ...]:
 
 
 def test_importance_factors_are_those_of_the_closed_form(dataset):
-    """To 1e-6, since RK4's relative error is (ω dt)⁴ ωt/120 = 3e-7 here."""
+    """To 1e-5: RK4 turns ωt by (ω dt)⁴ ωt/120 = 3e-7, and the least slope is cos ωt = 0.28."""
     (theory,) = linear(dataset)
     draws = drawn(dataset)
     rate, slopes = closed_form(*draws)
     deviations = 0.01, 0.1, 0.002 / np.sqrt(12.0)
     parts = np.array([(s.mean() * d) ** 2 for s, d in zip(slopes, deviations, strict=True)])
     expected = dict(zip((RATE, STIFFNESS, INERTIA), parts / parts.sum(), strict=True))
-    assert theory.shares == pytest.approx(expected, rel=1e-6)
+    assert theory.shares == pytest.approx(expected, rel=1e-5)
     assert min(expected.values()) > 0.01  # or the test would miss an input
     off = sum((x - x.mean()) * s.mean() for x, s in zip(draws, slopes, strict=True))
     percentiles = np.quantile(rate.mean() + off, (0.05, 0.5, 0.95), method="inverted_cdf")
     assert theory.linear == pytest.approx(tuple(percentiles), rel=1e-5)
-    # The normal law of the linear output; percentiles of 256 Sobol points are off by 0.03 std.
+    # The normal law of the linear output: two standard errors of the 5 % quantile of 256, 0.13 std.
     std = np.sqrt(parts.sum())
     law = rate.mean() + std * np.array([-1.6449, 0.0, 1.6449])
-    assert np.abs(theory.linear - law).max() < 0.1 * std
+    assert np.abs(theory.linear - law).max() < 0.26 * std
 
 
 def test_linear_theory_holds_for_small_deviations(dataset):
@@ -179,7 +179,7 @@ def reach(r, params):
 
 @pytest.mark.slow
 def test_end_times_and_observables_have_linear_theory(tmp_path):
-    """A throw: t = (w + √(w² + 2gh))/g and reach u t; 1e-7 for rtol 1e-9 of the run."""
+    """A throw: t = (w + √(w² + 2gh))/g and reach u t; RK4 is exact, 1e-9 for the event's time."""
     (tmp_path / "throw.py").write_text(LANDING)
     g, h = 9.81, 1.0
     throw = {
@@ -196,7 +196,7 @@ def test_end_times_and_observables_have_linear_theory(tmp_path):
             "initial": {"twist": normal([0.0, 0.0, 0.0, 2.0, 0.0, 3.0], [0, 0, 0, 0.1, 0, 0.2])},
             "problem": {"gravity": normal([0.0, 0.0, -g], [0.0, 0.0, 0.1])},
         },
-        "integrate": {"rtol": 1e-9, "t_end": 3.0, "sensitivities": ["twist0", "gravity"]},
+        "integrate": {"dt": 0.05, "t_end": 3.0, "sensitivities": ["twist0", "gravity"]},
     }  # fmt: skip
     study = Study.of(throw, folder=tmp_path)
     dataset = lierb.run(study, tmp_path / "out")
@@ -211,9 +211,9 @@ def test_end_times_and_observables_have_linear_theory(tmp_path):
     of_twist = ((u * by_w).mean() * 0.2) ** 2 + (t.mean() * 0.1) ** 2
     of_gravity = ((u * by_g).mean() * 0.1) ** 2
     share = of_gravity / (of_gravity + of_twist)
-    assert reach.shares["problem.gravity"] == pytest.approx(share, rel=1e-7)
+    assert reach.shares["problem.gravity"] == pytest.approx(share, rel=1e-9)
     share = 1.0 / (1.0 + (by_w.mean() * 0.2 / (by_g.mean() * 0.1)) ** 2)
-    assert time.shares["problem.gravity"] == pytest.approx(share, rel=1e-7)
+    assert time.shares["problem.gravity"] == pytest.approx(share, rel=1e-9)
 
 
 # ---- sampled numbers along parameters ----------------------------------------------------------
@@ -242,11 +242,14 @@ PENDULUM = {
         "n": 3,
         "initial": {"velocities": normal([0.1], [0.02]), "coordinates": normal([0.3], [0.1])},
         "body": {"radius": normal(0.01, 1e-3)},
-        "joint": {"body_point": normal([0.0, 0.0, 0.3], [0.01, 0, 0.01]), "pitch": normal(0.1, 0.01)},
+        "joint": {
+            "body_point": normal([0.0, 0.0, 0.3], [0.01, 0.0, 0.01]), "pitch": normal(0.1, 0.01),
+        },
         "forces": {"wire": {"stiffness": normal(0.5, 0.05)}},
     },
     "integrate": {"dt": 1e-2, "t_end": 0.5, "sensitivities": [
-        "body.mass", "body.inertia", "joint.body_point", "joint.pitch", "twist0", "pose0", STIFFNESS,
+        "body.mass", "body.inertia", "joint.body_point", "joint.pitch", "twist0", "pose0",
+        STIFFNESS,
     ]},
 }  # fmt: skip
 
@@ -404,7 +407,7 @@ def test_warmup_compiles_the_kernels_of_derivatives(monkeypatch):
     [
         ({"sensitivities": ["omega"]}, "sensitivities='omega' is unknown; choose from twist0"),
         ({"sensitivities": ["forces.wire.stifness"]}, "Did you mean 'forces.wire.stiffness'?"),
-        ({"sensitivities": ["initial.velocities"]}, "sensitivities='initial.velocities' is unknown"),
+        ({"sensitivities": ["initial.velocities"]}, "'initial.velocities' is unknown"),
         ({"sensitivities": ["omega0", "omega0"]}, "sensitivities names omega0 twice"),
         ({"method": "Rodas4"}, "sensitivities: Rodas4 has no derivatives; take an explicit method"),
         ({"method": ["RK4", "Rodas4"]}, "Rodas4 has no derivatives"),
@@ -435,10 +438,10 @@ def test_controllers_and_discontinuities_are_refused(tmp_path):
 import lierb
 
 @lierb.wrench(on=0.5, discontinuities="on")
-def push(t, params):
+def push(t, R, r, omega, v, params):
     return (0.0, lierb.where(t < params.on, 1.0, 0.0), 0.0), (0.0, 0.0, 0.0)
 
-@lierb.controller(every=0.1, output=0.0)
+@lierb.controller(every=0.1)
 def computer(t, params):
     return {"output": t}
 """
@@ -455,7 +458,7 @@ def computer(t, params):
 
 def test_forces_that_switch_are_foreseen():
     changed = tables()
-    limit = {"type": "joint_limit", "low": -1.0, "high": 1.0, "stiffness": 10.0, "damping": 1.0}
+    limit = {"type": "joint_limit", "lower": -1.0, "upper": 1.0, "stiffness": 10.0, "damping": 1.0}
     changed["problem"]["forces"].append(limit)
     ((category, messages),) = foreseen(Study.of(changed)).items()
     assert category is DerivativeWarning
