@@ -104,7 +104,7 @@ def test_linear_theory_holds_for_small_deviations(dataset):
 def test_show_has_shares_and_both_percentiles(dataset):
     (theory,) = linear(dataset)
     lines = invoke("show", str(dataset.folder)).stdout.splitlines()
-    at = lines.index(next(line for line in lines if "linear theory, share of" in line))
+    at = lines.index(next(line for line in lines if "linear theory: share of variance" in line))
     shown = "\n".join(lines[at:])
     for name, share in theory.shares.items():
         assert f"{share:.3f} {name}" in shown
@@ -336,6 +336,13 @@ def test_parts_hold_the_derivatives_of_result(dataset):
     assert table.schema.field(f"twist/{STIFFNESS}").metadata[b"per"] == b"N m/rad"
 
 
+@pytest.mark.slow
+def test_values_are_those_without_derivatives(dataset, tmp_path):
+    lierb.run(Study.of(tables(sensitivities=[])), tmp_path / "out")
+    plain, own = bits(tmp_path / "out"), bits(dataset.folder)
+    assert plain == {name: column for name, column in own.items() if "/" not in name}
+
+
 def test_bits_do_not_depend_on_parts_or_threads(dataset, tmp_path):
     lierb.run(Study.of(tables()), tmp_path / "out", changes={"output.part": 100}, threads=2)
     assert len(derivatives_of(tmp_path / "out")) == 9
@@ -406,7 +413,7 @@ def test_warmup_compiles_the_kernels_of_derivatives(monkeypatch):
     ("integrate", "told"),
     [
         ({"sensitivities": ["omega"]}, "sensitivities='omega' is unknown; choose from twist0"),
-        ({"sensitivities": ["forces.wire.stifness"]}, "Did you mean 'forces.wire.stiffness'?"),
+        ({"sensitivities": ["forces.wire.stiff"]}, "Did you mean 'forces.wire.stiffness'?"),
         ({"sensitivities": ["initial.velocities"]}, "'initial.velocities' is unknown"),
         ({"sensitivities": ["omega0", "omega0"]}, "sensitivities names omega0 twice"),
         ({"method": "Rodas4"}, "sensitivities: Rodas4 has no derivatives; take an explicit method"),

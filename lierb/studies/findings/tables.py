@@ -131,7 +131,7 @@ def table_of_indices(rows: list[Sensitivity]) -> Table:
 
 def table_of_linear_theory(rows: list[LinearTheory]) -> Table:
     """Make the table of importance factors, and of linear percentiles beside sampled ones."""
-    table = empty_table(("linear theory, share of",), ("", "linear", "sampled", INTERVAL))
+    table = empty_table(("linear theory: share of variance",), ("", "linear", "sampled", INTERVAL))
     for each in _in_sections(table, rows):
         names = [named(each.name, each.unit), *shares_of(each)]
         quantiles = zip(each.linear, each.sampled, strict=True)
