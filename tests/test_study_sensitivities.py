@@ -5,10 +5,13 @@ The hinge of most tests is a linear oscillator: φ̈ = −ω²φ, ω² = k/I, φ
 
 from __future__ import annotations
 
+import signal
+import time
+
 import numpy as np
 import pytest
 from command import invoke
-from studies import bits, hashes
+from studies import bits, hashes, start
 
 import lierb
 from lierb.api import integrate_model
@@ -21,7 +24,7 @@ from lierb.studies.execution import cluster, running
 from lierb.studies.execution.foreseen import foreseen
 from lierb.studies.execution.replaying import compile_for, replay
 from lierb.studies.findings.along_parameters import AlongParameters
-from lierb.studies.findings.findings import linear
+from lierb.studies.findings.findings import linear_theories
 from lierb.studies.findings.linear_theory import _shares, left_out
 from lierb.studies.storage.files import parquet_files
 from lierb.studies.storage.parts import HISTORY_BYTES, Part, bytes_of_derivatives, part_size
@@ -77,7 +80,7 @@ def drawn(dataset) -> tuple[np.ndarray, ...]:
 
 def test_importance_factors_are_those_of_the_closed_form(dataset):
     """To 1e-5: RK4 turns ωt by (ω dt)⁴ ωt/120 = 3e-7, and the least slope is cos ωt = 0.28."""
-    (theory,) = linear(dataset)
+    (theory,) = linear_theories(dataset)
     draws = drawn(dataset)
     rate, slopes = closed_form(*draws)
     deviations = 0.01, 0.1, 0.002 / np.sqrt(12.0)
@@ -95,14 +98,14 @@ def test_importance_factors_are_those_of_the_closed_form(dataset):
 
 
 def test_linear_theory_holds_for_small_deviations(dataset):
-    (theory,) = linear(dataset)
+    (theory,) = linear_theories(dataset)
     assert theory.parts_at == ()
     assert theory.warning == ""
     assert theory.left_out == {}
 
 
 def test_show_has_shares_and_both_percentiles(dataset):
-    (theory,) = linear(dataset)
+    (theory,) = linear_theories(dataset)
     lines = invoke("show", str(dataset.folder)).stdout.splitlines()
     at = lines.index(next(line for line in lines if "linear theory: share of variance" in line))
     shown = "\n".join(lines[at:])
@@ -123,7 +126,7 @@ def far(tmp_path_factory):
 
 
 def test_linear_percentiles_part_from_sampled_ones(far):
-    (theory,) = linear(far)
+    (theory,) = linear_theories(far)
     assert 0.95 in theory.parts_at
     outside = [
         q.probability for x, q in zip(theory.linear, theory.sampled, strict=True)
@@ -138,7 +141,7 @@ def test_linear_percentiles_part_from_sampled_ones(far):
 
 
 def test_quantiles_asked_for_are_those_of_linear_theory(far):
-    (theory,) = linear(far, (0.25, 0.75))
+    (theory,) = linear_theories(far, (0.25, 0.75))
     assert [q.probability for q in theory.sampled] == [0.25, 0.75]
     assert len(theory.linear) == 2
 
@@ -148,7 +151,7 @@ def test_page_has_linear_theory(far, tmp_path):
     pytest.importorskip("plotly")
     from lierb.studies.pages.report import write_report
 
-    (theory,) = linear(far)
+    (theory,) = linear_theories(far)
     text = write_report(far, tmp_path / "report.html").read_text(encoding="utf-8")
     assert "<h2>Linear theory beside the sample</h2>" in text
     assert theory.warning in text
@@ -174,6 +177,10 @@ def landing(r, params):
 @lierb.observable(unit="m")
 def reach(r, params):
     return r[0]
+
+@lierb.states(odometer=(0.0, 0.0), unit={"odometer": "m"})
+def distances(r, params):
+    return {"odometer": (2.0, 0.0)}
 """
 
 
@@ -190,6 +197,7 @@ def test_end_times_and_observables_have_linear_theory(tmp_path):
             "gravity": [0.0, 0.0, -g],
             "events": [{"type": "python:throw.py:landing"}],
             "observables": [{"type": "python:throw.py:reach"}],
+            "states": [{"type": "python:throw.py:distances"}],
         },
         "sample": {
             "n": 200, "method": "sobol",
@@ -200,8 +208,10 @@ def test_end_times_and_observables_have_linear_theory(tmp_path):
     }  # fmt: skip
     study = Study.of(throw, folder=tmp_path)
     dataset = lierb.run(study, tmp_path / "out")
-    reach, time = linear(dataset)
-    assert (reach.name, reach.unit, time.name, time.unit) == ("reach_final", "m", "t", "s")
+    reach, odometer, time = linear_theories(dataset)
+    named = [(each.name, each.unit) for each in (reach, odometer, time)]
+    assert named == [("reach_final", "m"), ("odometer 1", "m"), ("t", "s")]  # the other is constant
+    assert odometer.shares == pytest.approx(time.shares, rel=1e-12)  # it is 2 t
     table = dataset.table().to_table()
     u, w = as_array(table["sample.initial.twist"])[:, [3, 5]].T
     g = -as_array(table["sample.problem.gravity"])[:, 2]
@@ -224,7 +234,7 @@ def test_what_has_no_derivatives_is_left_out(tmp_path):
     changed = tables(n=64)
     changed["sample"]["initial"]["coordinates"] = normal([0.1], [0.05])
     changed["sample"]["joint"] = {"axis": normal([0.0, 1.0, 0.0], [0.01, 0.0, 0.0])}
-    theory, *_ = rows = linear(lierb.run(Study.of(changed), tmp_path / "out"))
+    theory, *_ = rows = linear_theories(lierb.run(Study.of(changed), tmp_path / "out"))
     assert set(theory.shares) == {RATE, STIFFNESS, INERTIA}
     assert sum(theory.shares.values()) == pytest.approx(1.0, rel=1e-12)
     assert left_out(rows) == [
@@ -368,6 +378,20 @@ def test_a_resumed_run_has_the_same_bytes(dataset, tmp_path, monkeypatch):
 
 
 @pytest.mark.slow
+def test_a_killed_run_has_the_same_bytes(tmp_path):
+    text = Study.of(tables(n=20_000)).to_toml().replace("part = 64", "part = 512")
+    process, out = start(tmp_path, text=text), tmp_path / "out"
+    while not (out / "summary").exists() and process.poll() is None:
+        time.sleep(0.01)
+    process.kill()
+    process.communicate(timeout=60)
+    assert process.returncode == -signal.SIGKILL  # it was not done
+    lierb.run(tmp_path / "study.toml", out, resume=True)
+    lierb.run(tmp_path / "study.toml", tmp_path / "whole")
+    assert hashes(out) == hashes(tmp_path / "whole")
+
+
+@pytest.mark.slow
 def test_workers_leave_the_same_bytes(dataset, tmp_path):
     pytest.importorskip("distributed")
     with cluster.local_client(2) as client:
@@ -394,6 +418,28 @@ def test_batches_have_derivatives(dataset):
     stored = dataset.table().to_table()
     for name in stored.column_names:
         assert first[name].to_pylist() == stored[name].slice(0, 64).to_pylist()
+
+
+def test_progress_ends_at_the_work_of_the_study(tmp_path):
+    """Ten directions are four runs, which the work counts once."""
+    seen: list[tuple[int, int]] = []
+    study = Study.of(tables(n=64))
+    lierb.run(study, tmp_path / "out", progress=lambda done, total: seen.append((done, total)))
+    done, totals = zip(*seen, strict=True)
+    assert set(totals) == {64 * 100}
+    assert list(done) == sorted(done)
+    assert done[-1] == 64 * 100
+
+
+def test_a_study_made_in_python_names_its_inputs():
+    wire = lierb.forces.torsional_spring(stiffness=5.0)
+    body = lierb.Body(2.0, (0.1, 0.2, 0.15))
+    hinge = lierb.Problem(body, lierb.joints.revolute(axis=(0.0, 1.0, 0.0)), forces=wire)
+    design = lierb.sampling.Design({"body.mass": lierb.sampling.Uniform(1.0, 2.0)}, n=4)
+    by = ["body.mass", "forces.torsional_spring.stiffness"]
+    study = lierb.study_of(hinge, design, dt=1e-2, t_end=1.0, sensitivities=by)
+    assert study.integrate.sensitivities == by
+    assert Study.of(study.model_dump()) == study
 
 
 def test_warmup_compiles_the_kernels_of_derivatives(monkeypatch):

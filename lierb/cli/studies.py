@@ -350,7 +350,13 @@ def _report(
 
 
 def _show(dataset: Dataset, probabilities: tuple[float, ...]) -> None:
-    from lierb.studies.findings.findings import crossings, findings, indices, linear, quantities
+    from lierb.studies.findings.findings import (
+        crossings,
+        findings,
+        indices,
+        linear_theories,
+        quantities,
+    )
     from lierb.studies.findings.linear_theory import left_out
     from lierb.studies.findings.tables import (
         table_of,
@@ -369,7 +375,7 @@ def _show(dataset: Dataset, probabilities: tuple[float, ...]) -> None:
     if sensitivities := indices(dataset):
         click.echo()
         print_whole(table_of_indices(sensitivities))
-    if theory := linear(dataset, probabilities):
+    if theory := linear_theories(dataset, probabilities):
         click.echo()
         print_whole(table_of_linear_theory(theory))
         for line in (*left_out(theory), *(each.warning for each in theory if each.warning)):

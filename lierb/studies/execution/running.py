@@ -237,8 +237,13 @@ def _here(
     for part in parts:
         if stopping.is_set():
             return
-        tables = part.tables(study, design, threads, lambda within, _: report(within))
+        tables = part.tables(study, design, threads, _share_of(part.work(study), report))
         yield part.name, store.store(parquet_files(part.name, tables, study.output.compression))
+
+
+def _share_of(work: int, report: Callable[[int], None]) -> Callable[[int, int], None]:
+    """Return the progress function of a part; derivatives take several runs for the same work."""
+    return lambda done, total: report(done * work // total)
 
 
 @contextmanager

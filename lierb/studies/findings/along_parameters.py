@@ -110,7 +110,7 @@ class AlongParameters:
         return np.asarray(inverse / lengths[:, :, None])
 
     def _unexplained(self, change: Fields, weights: Array) -> Iterator[str]:
-        """Yield the fields of which a change is no sum of the directions; a frame's axes as AXES."""
+        """Yield the fields whose changes are no sum of the directions; AXES for a frame's axes."""
         inputs = _inputs_of(self.base)
         for field, own in change.items():
             along = self.directions.get(field)

@@ -111,7 +111,9 @@ def indices(dataset: Results) -> list[Sensitivity]:
     return list(sensitivities(dataset, study, columns))
 
 
-def linear(dataset: Results, probabilities: Sequence[float] = PROBABILITIES) -> list[LinearTheory]:
+def linear_theories(
+    dataset: Results, probabilities: Sequence[float] = PROBABILITIES
+) -> list[LinearTheory]:
     """Return the linear theory of a study's outputs; [] without `sensitivities`."""
     return list(linear_theory(dataset, study_of(dataset), probabilities))
 

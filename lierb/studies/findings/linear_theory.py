@@ -7,6 +7,7 @@ x this is the slope of the best linear fit (Stein's lemma), and it needs no run 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from math import prod
 from typing import NamedTuple
 
 import numpy as np
@@ -87,8 +88,8 @@ def linear_theory(
 ) -> Iterator[LinearTheory]:
     """Yield the linear theory of all outputs of a study with derivatives, setting by setting.
 
-    Outputs are the final values of observables, and the end time if events end trajectories; of a
-    study without any of these, the components of the twists at the end.
+    Outputs are the final values of observables and extra states, and the end time if events end
+    trajectories; of a study without any of these, the components of the twists at the end.
     """
     if study.integrate.sensitivities and study.design.drawn:
         for setting in study.settings:
@@ -137,9 +138,12 @@ def _outputs(study: Study) -> Iterator[_Output]:
     ends = any(event.terminal for event in model.events)
     for each in model.observables:
         yield _Output(f"{each.name}_final", f"{each.name}_final", 0, each.name)
+    for name, shape, _ in model.signals:
+        for i in range(prod(shape)):
+            yield _Output(f"{name} {i + 1}" if shape else name, name, i, name, i, prod(shape))
     if ends:
         yield _Output("t", "t", 0, "t")
-    if ends or model.observables:
+    if ends or model.observables or model.signals:
         return
     for link in model.link_names:
         prefix = f"{link}." if link else ""

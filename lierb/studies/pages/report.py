@@ -25,7 +25,7 @@ from lierb.studies.findings.findings import (
     errors_seen,
     findings,
     indices,
-    linear,
+    linear_theories,
     orders,
     quantities,
     study_of,
@@ -127,7 +127,7 @@ def _values_of_findings(
     options = "" if rank_by is None else f" --rank-by={rank_by}"
     if tuple(probabilities) != PROBABILITIES:
         options += f" --quantiles={','.join(each.rstrip('%') for each in percents)}"
-    theory = linear(dataset, probabilities)
+    theory = linear_theories(dataset, probabilities)
     summaries, seen, end = findings(dataset), errors_seen(dataset, study), study.integrate.t_end
     return {
         "options": options,
