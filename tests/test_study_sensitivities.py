@@ -140,6 +140,17 @@ def test_linear_percentiles_part_from_sampled_ones(far):
     assert "linear theory does not hold for omega 2; at" in theory.warning
 
 
+def test_equal_draws_of_a_linear_output_do_not_part(tmp_path):
+    """φ̇ is proportional to u; with three values a percentile is an end of its interval."""
+    changed = tables(n=64)
+    rates = {"distribution": "values", "values": [[0.4], [0.5], [0.6]]}
+    changed["sample"] = {"n": 64, "initial": {"velocities": rates}}
+    (theory,) = linear_theories(lierb.run(Study.of(changed), tmp_path / "out"))
+    assert theory.sampled[0].value == theory.sampled[0].high != theory.linear[0]
+    assert theory.shares == {RATE: 1.0}
+    assert theory.parts_at == ()
+
+
 def test_quantiles_asked_for_are_those_of_linear_theory(far):
     (theory,) = linear_theories(far, (0.25, 0.75))
     assert [q.probability for q in theory.sampled] == [0.25, 0.75]
@@ -459,6 +470,7 @@ def test_warmup_compiles_the_kernels_of_derivatives(monkeypatch):
     ("integrate", "told"),
     [
         ({"sensitivities": ["omega"]}, "sensitivities='omega' is unknown; choose from twist0"),
+        ({"sensitivities": ["problem.gravity", "omega"]}, "sensitivities='omega' is unknown"),
         ({"sensitivities": ["forces.wire.stiff"]}, "Did you mean 'forces.wire.stiffness'?"),
         ({"sensitivities": ["initial.velocities"]}, "'initial.velocities' is unknown"),
         ({"sensitivities": ["omega0", "omega0"]}, "sensitivities names omega0 twice"),

@@ -26,15 +26,13 @@ def parameters_of(study: StudyTables, model: Model) -> dict[str, Parameter]:
     Raises LierbError for a name that is no input, or a time.
     """
     given, labels = study.integrate.sensitivities, dict(_labels(study, model))
-    names = [_renamed(name, labels) for name in given]
-    try:
-        chosen = chosen_parameters(model, names, KEY)
-    except UnknownNameError:
-        known = names_of(study, model)
-        unknown = next(
-            name for name, own in zip(given, names, strict=True) if own not in known.values()
-        )
-        raise unknown_name(KEY, unknown, known) from None
+    names = {name: _renamed(name, labels) for name in given}
+    for name, own in names.items():
+        try:
+            chosen_parameters(model, own, KEY)
+        except UnknownNameError:
+            raise unknown_name(KEY, name, names_of(study, model)) from None
+    chosen = chosen_parameters(model, [names[name] for name in given], KEY)
     return dict(zip(given, chosen, strict=True))
 
 

@@ -29,6 +29,7 @@ from lierb.studies.storage.results import Results
 from lierb.support.arrays import Array
 
 MOST_BODIES = 500  # bodies, at random, over which slopes are means
+ROUNDING = 1e-6  # standard deviations; intervals of equal draws have no width
 CONSTANT = 1e-12  # range of an output that counts as rounding, relative to its largest number
 
 
@@ -39,6 +40,8 @@ class LinearTheory(NamedTuple):
         vector with all its components; without those in `left_out`.
     linear : percentiles of the linear output over the draws of all bodies.
     sampled : percentiles of the output over the same bodies.
+    parts_at : probabilities at which sampling error does not explain the difference of the two: the
+        linear percentile is outside the confidence interval of the sampled one.
     left_out : reason for each sampled quantity without derivatives.
     """
 
@@ -48,13 +51,8 @@ class LinearTheory(NamedTuple):
     shares: dict[str, float]
     linear: tuple[float, ...]
     sampled: tuple[Quantile, ...]
+    parts_at: tuple[float, ...]
     left_out: dict[str, str]
-
-    @property
-    def parts_at(self) -> tuple[float, ...]:
-        """Return the probabilities at which sampling error does not explain the difference."""
-        pairs = zip(self.linear, self.sampled, strict=True)
-        return tuple(q.probability for x, q in pairs if x < q.low or x > q.high)
 
     @property
     def warning(self) -> str:
@@ -121,14 +119,23 @@ def _of_setting(
             continue
         by = _by_parameters(output, study, some)
         slopes = {name: np.mean(by @ weights, axis=0)[0] for name, weights in along.items()}
-        linear = np.sort(values.mean() + sum(_off(rows, name) @ s for name, s in slopes.items()))
+        linear = values.mean() + sum(_off(rows, name) @ s for name, s in slopes.items())
+        percentiles, sampled = (
+            tuple(quantile_of(np.sort(x), p) for p in probabilities) for x in (linear, values)
+        )
+        rounding = ROUNDING * values.std()
         yield LinearTheory(
             setting,
             output.name,
             field_unit(schema.field(output.column)),
             _shares(slopes, covariances),
-            tuple(quantile_of(linear, p).value for p in probabilities),
-            tuple(quantile_of(np.sort(values), p) for p in probabilities),
+            tuple(q.value for q in percentiles),
+            sampled,
+            tuple(
+                q.probability
+                for x, q in zip(percentiles, sampled, strict=True)
+                if x.value < q.low - rounding or x.value > q.high + rounding
+            ),
             missing,
         )
 
