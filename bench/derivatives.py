@@ -3,7 +3,7 @@
 python bench/derivatives.py              print the table of docs/howto/derivatives.md
 
 All runs of a row take turns in one process, on one thread; the least CPU times are compared. It
-takes about two minutes, most of them to compile.
+takes about three minutes, most of them to compile.
 """
 
 from __future__ import annotations
@@ -51,13 +51,43 @@ def runs() -> dict[str, tuple[Run, dict[int, list[str]]]]:
             pendulum, **hanging, t_end=0.5, threads=1, **options, **more
         )
 
+    def hanging_chain(links: int) -> Run:
+        chain, start = swinging_chain(links, COUNT // 8)
+        return lambda **more: lierb.integrate(
+            chain, **start, dt=1e-3, t_end=0.5, threads=1, solver="looped", **more
+        )
+
+    of_chain = {
+        1: ["link0.body.mass"], 3: ["link1.body.com"],
+        12: ["gravity", "link1.body.com", "link2.body.inertia"],
+    }  # fmt: skip
     return {
         "heavy top, RK4, constant gain": (turning(dt=1e-3), of_body),
         "heavy top, RK4, saddle point": (turning(dt=1e-3, solver="saddle"), of_body),
         "heavy top, DOP853, rtol 1e-8": (turning(rtol=1e-8), of_body),
         "double pendulum, RK4": (swinging(dt=1e-3), of_links),
         "double pendulum, DOP853, rtol 1e-8": (swinging(rtol=1e-8), of_links),
+        "chain of 8 links, RK4, looped": (hanging_chain(8), of_chain),
+        "chain of 20 links, RK4, looped": (hanging_chain(20), of_chain),
     }
+
+
+def swinging_chain(count: int, trajectories: int) -> tuple[lierb.Mechanism, dict[str, Any]]:
+    """Return a chain of revolute links on a horizontal axis, and starts near the horizontal."""
+    links = [
+        lierb.Link(
+            f"link{i}", lierb.bodies.rod(0.2, 0.01, mass=0.3),
+            lierb.joints.revolute(
+                axis=(0.0, 1.0, 0.0), body_point=(0.0, 0.0, 0.1),
+                parent_point=(0.0, 0.0, -0.1 if i else 0.0),
+            ),
+            f"link{i - 1}" if i else "ground",
+        )
+        for i in range(count)
+    ]  # fmt: skip
+    chain = lierb.Mechanism(links, gravity=(0.0, 0.0, -9.81))
+    pose0 = chain.pose({"link0": np.linspace(1.5, 1.6, trajectories)[:, None]})
+    return chain, {"pose0": pose0, "twist0": chain.twist({}, pose0)}
 
 
 def ratios(run: Run, parameters: dict[int, list[str]]) -> list[float]:

@@ -92,9 +92,9 @@ def integrate(
     twist0 : array_like, shape (6,) or (n, 6), or dict of them, optional
         Body-fixed twist (ω, v) at t0, rad/s and m/s; see `Joint.twist` and `Mechanism.twist`.
         Default: at rest.
-    pose0 : array_like or RigidTransform, shape (4, 4) or (n, 4, 4), or dict of them, optional
-        Pose at t0. Default: the closed joint; for a mechanism `Mechanism.pose()`, all coordinates
-        0.
+    pose0 : array_like, Rotation or RigidTransform, (4, 4) or (n, 4, 4), or dict of them, optional
+        Pose at t0; a Rotation of SciPy is a pose with the position 0. Default: the closed joint;
+        for a mechanism `Mechanism.pose()`, all coordinates 0.
     dt : float, optional
         Length of the fixed steps, s; a whole number of steps must fit between t0 and t_end. With
         adaptive steps, length of the first step; default: Hairer's choice.

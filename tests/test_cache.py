@@ -20,7 +20,7 @@ import pytest
 from numba.core.caching import InTreeCacheLocator
 
 import lierb
-from lierb.compiler import disk_cache, entries, sealed
+from lierb.compiler import disk_cache, entries, sealed, stamp
 from lierb.compiler.code import cached, compiled
 from lierb.compiler.tags import Tag
 from lierb.kernels.mechanics.elements import Element
@@ -593,9 +593,13 @@ def test_clearing_deletes_code_of_every_version_and_nothing_else(two_files):
     two_files[0].rename(two_files[0].with_name("test_cache.product-0123-4567.nbc"))
     foreign = two_files[0].with_name("other.function-1.py311.1.nbc")
     foreign.write_text("of another package")
+    trees = sealed.folders_of(stamp.described)[0] / stamp.FILE
+    trees.parent.mkdir(exist_ok=True)
+    trees.write_bytes(bytes(1001))
     cleared = disk_cache.clear()
-    assert len(cleared) == 2
+    assert len(cleared) == 3  # the syntax trees are counted, too
     assert min(cleared.values()) > 1000
+    assert not trees.exists()
     assert list(foreign.parent.iterdir()) == [foreign]
     assert disk_cache.clear() == {}
 

@@ -242,12 +242,31 @@ def test_closed_joint_is_meant_where_no_pose_is_given():
     np.testing.assert_allclose(twist, again, rtol=0, atol=1e-15)  # its pose is rounded
 
 
+@pytest.mark.parametrize("name", ["spherical", "free"])
+def test_rates_of_a_rotation_vector_are_its_derivative(name):
+    """Right: central differences of the pose. The docstrings say so."""
+    machine = lierb.Mechanism(lierb.Link("ball", BODY, joint(name)))
+    start = np.array((0.8, -0.5, 1.1, 0.1, 0.2, 0.3))[: len(joint(name).coordinate_names)]
+    rates, h = np.array((0.3, 1.0, -2.0, 1.0, 2.0, 3.0))[: len(start)], 1e-5
+    pose = machine.pose({"ball": start})
+    twist = machine.twist({"ball": rates}, pose)["ball"]
+    before, after = (machine.pose({"ball": start + s * h * rates})["ball"] for s in (-1.0, 1.0))
+    moving = np.linalg.solve(pose["ball"], after - before) / (2.0 * h)
+    found = [moving[2, 1], moving[0, 2], moving[1, 0], *moving[:3, 3]]
+    np.testing.assert_allclose(twist, found, rtol=0, atol=1e-8)  # h² of 30 1/s³, ε/h
+    for function in (lierb.Mechanism.twist, lierb.joints.Joint.twist):
+        assert "dξ/dt" in function.__doc__
+
+
 @pytest.mark.parametrize(
     ("given", "told"),
     [
         ({"velocities": (1.0,), "omega": (0, 0, 1)}, "velocities or omega"),
         ({"velocities": (1.0,), "point_velocity": (0, 0, 1)}, "velocities or point_velocity"),
-        ({"velocities": (1.0, 2.0)}, r"velocities has shape \(2,\); expected \(1,\).* of phi"),
+        (
+            {"velocities": ((1.0, 2.0),)},
+            r"velocities has shape \(1, 2\); expected a number.* of phi",
+        ),
         ({"velocities": (1.0,), "pose": np.eye(4), "coordinates": (1.0,)}, "pose or coordinates"),
         ({"velocities": np.ones((2, 1)), "coordinates": np.ones((4, 1))}, "differ in their number"),
     ],
@@ -315,10 +334,33 @@ def test_rotation_in_place_of_a_pose_is_told_both_ways(shape):
             call()
 
 
+def test_a_single_coordinate_may_be_a_number():
+    hinge = joint("revolute")
+    np.testing.assert_array_equal(hinge.pose(0.5), hinge.pose([0.5]))
+    np.testing.assert_array_equal(hinge.pose(coordinates=[0.1, 0.2]), hinge.pose([[0.1], [0.2]]))
+    np.testing.assert_array_equal(
+        hinge.twist(velocities=2.0, coordinates=0.5), hinge.twist(velocities=[2.0])
+    )
+    with pytest.raises(ArgumentError, match=r"expected \(2,\) or \(n, 2\), of alpha, beta"):
+        joint("universal").pose(0.5)
+
+
 def test_frames_take_rotations():
     held = lierb.joints.revolute(body_frame=TURN, ground_frame=TURN)
     np.testing.assert_array_equal(held.body_frame[:3, :3], TURN.as_matrix())
     np.testing.assert_array_equal(held.ground_frame[:3, 3], np.zeros(3))
+
+
+@pytest.mark.parametrize(
+    "function",
+    [
+        lierb.integrate, lierb.fit, lierb.propagate, lierb.predict, lierb.convergence,
+        lierb.Problem.close, lierb.joints.JointType.__call__, lierb.joints.from_rows,
+        lierb.joints.Joint.coordinates,
+    ],
+)  # fmt: skip
+def test_docstrings_of_poses_and_frames_mention_rotations(function):
+    assert ": array_like, Rotation or RigidTransform, " in function.__doc__
 
 
 # ---- closing -----------------------------------------------------------------------------------

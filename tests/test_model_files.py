@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from jobs.page import names_of
 from scipy.spatial.transform import Rotation
 
 import lierb
@@ -337,11 +338,14 @@ WORM = """<mujoco><compiler autolimits="true" {settings}/><worldbody>
 @pytest.mark.skipif(
     not hasattr(mujoco.MjSpec, "adopt_inertial"), reason="no inertials of geoms in this release"
 )
-@pytest.mark.parametrize("length", [100.0, 1.0, 1e-3, 1e-6])
-def test_bodies_of_any_size_are_read(tmp_path, length):
+@pytest.mark.parametrize(
+    ("length", "settings"),
+    [(100.0, ""), (1.0, ""), (1e-3, ""), (1e-6, ""), (1e-3, 'inertiafromgeom="true"')],
+)
+def test_bodies_of_any_size_are_read(tmp_path, length, settings):
     """Capsule and box of 1000 kg/m³ in closed form; MuJoCo takes no moment below 1e-15 kg m²."""
     path, r = tmp_path / "worm.xml", 0.05 * length
-    path.write_text(WORM.format(length=length, radius=r, settings=""))
+    path.write_text(WORM.format(length=length, radius=r, settings=settings))
     head, tail = (link.body for link in read(path)[0].links)
     rod, ball = 1e3 * np.pi * r**2 * length, 1e3 * 4 / 3 * np.pi * r**3
     np.testing.assert_allclose(head.mass, rod + ball, rtol=1e-13)
@@ -362,9 +366,11 @@ def test_bodies_of_any_size_are_read(tmp_path, length):
 
 
 def test_a_size_that_no_release_can_read_is_refused_by_name(tmp_path):
-    """`inertiafromgeom="true"` leaves no room for an inertial in the file's stead."""
+    """`inertiafromgeom="true"` overrides the inertial of the file, which no inertial replaces."""
     path = tmp_path / "worm.xml"
-    path.write_text(WORM.format(length=1e-3, radius=5e-5, settings='inertiafromgeom="true"'))
+    text = WORM.format(length=1e-3, radius=5e-5, settings='inertiafromgeom="true"')
+    inertial = '<inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>'
+    path.write_text(text.replace('<body name="head">', f'<body name="head">{inertial}'))
     with pytest.raises(ArgumentError, match="mjMINVAL Element name 'head'"):
         read(path)
 
@@ -440,7 +446,7 @@ def test_arm_stands_where_its_origins_put_it():
         f"joint {name}: limits -2.5 … 2.5"
         for name in ("base_yaw", "shoulder_pitch", "elbow", "wrist_pitch")
     )
-    others = "1 geoms that collide", "limits of effort and velocity of 4 joints"
+    others = "1 geom that collides", "limits of effort and velocity of 4 joints"
     assert left_out == (*limits, *others)
 
 
@@ -630,6 +636,7 @@ def test_other_joints_allow_the_same_poses(tmp_path, name):
     np.testing.assert_allclose(again["body"], pose["body"], atol=ROUNDING)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "joints",
     [
@@ -661,6 +668,7 @@ def test_joints_that_are_none_of_the_catalogue_have_links_without_mass_between_t
     np.testing.assert_allclose(result["body"].rotation[0].ravel(), place.xmat, rtol=0, atol=1e-10)
 
 
+@pytest.mark.slow
 def test_c24_a_mobile_base_may_have_carriages_without_mass(tmp_path):
     """Genesis#3185, drake#13903, pinocchio#60: slides of a base, merged by hand or refused.
 
@@ -715,7 +723,7 @@ def test_c41_a_base_floats_or_is_fixed(tmp_path):
             path = tmp_path / f"{kind}.xml"
             path.write_text(text)
             made[kind, base], left_out = read(path, base=base)
-            assert ("1 keyframes" in left_out) == (kind == "free")
+            assert ("1 keyframe" in left_out) == (kind == "free")
     assert made["fixed", "free"].names == made["free", None].names == ("trunk", "leg")
     assert made["free", "fixed"].names == made["fixed", None].names == ("leg",)
     run = {"twist0": {"leg": (0.1, 0.2, 0.0, 0.0, 0.0, 0.0)}, "dt": 1e-3, "t_end": 0.3}
@@ -730,6 +738,26 @@ def test_c41_a_base_floats_or_is_fixed(tmp_path):
         np.testing.assert_array_equal(ends[0].position, ends[1].position)
     with pytest.raises(lierb.errors.UnknownNameError, match=r"base='floating'"):
         lierb.Mechanism.from_mjcf(path, base="floating")
+
+
+SCENERY = """<body name="table" pos="1 0 0"><geom type="box" size="1 1 0.1"/></body>
+  <body name="mark"/><body name="floor"><geom type="plane" size="1 1 1"/></body>
+  <body name="target" mocap="true"><geom size="0.1"/></body></worldbody>"""
+
+
+def test_c41_bodies_that_carry_no_joints_stay_on_the_ground(tmp_path):
+    """crocoddyl#979: the base floats, not the table, a mark without mass or a mocap body.
+
+    A drone has no joints: it floats, and a mark does not.
+    """
+    path = tmp_path / "scene.xml"
+    legs = LEGS.format(gravity="0 0 -9.81", joint="", keys="")
+    path.write_text(legs.replace("</worldbody>", SCENERY))
+    assert read(path, base="free")[0].names == ("trunk", "leg")
+    assert read(path, base="fixed")[0].names == ("leg",)
+    path.write_text("""<mujoco><worldbody><body name="drone"><body name="frame"><geom size="0.1"/>
+      </body></body><body name="mark"/></worldbody></mujoco>""")
+    assert read(path, base="free", merge_fixed=True)[0].names == ("drone",)
 
 
 def test_c41_the_root_of_a_urdf_floats(tmp_path):
@@ -815,14 +843,14 @@ def test_a_range_of_zero_that_is_a_limit_is_refused_by_name(tmp_path):
 
 
 LEFT_OUT = {
-    "actuatorfrcrange": ('actuatorfrcrange="-1 1"', "", "1 joints with limits of their actuators"),
+    "actuatorfrcrange": ('actuatorfrcrange="-1 1"', "", "1 joint with limits of its actuators"),
     "tendon": (
-        "", '<tendon><fixed><joint joint="knee" coef="1"/></fixed></tendon>', "1 tendons",
+        "", '<tendon><fixed><joint joint="knee" coef="1"/></fixed></tendon>', "1 tendon",
     ),
-    "sensor": ("", '<sensor><jointpos joint="knee"/></sensor>', "1 sensors"),
-    "keyframe": ("", '<keyframe><key qpos="0 1"/></keyframe>', "1 keyframes"),
+    "sensor": ("", '<sensor><jointpos joint="knee"/></sensor>', "1 sensor"),
+    "keyframe": ("", '<keyframe><key qpos="0 1"/></keyframe>', "1 keyframe"),
     "pair": (
-        "", '<contact><pair geom1="ball" geom2="floor"/></contact>', "1 contact pairs",
+        "", '<contact><pair geom1="ball" geom2="floor"/></contact>', "1 contact pair",
     ),
     "fluid": ("", '<option density="1.2" wind="1 0 0"/>', "the fluid's density and viscosity"),
     "options": (
@@ -860,7 +888,7 @@ def test_each_kind_that_is_left_out_is_said(tmp_path, what):
 def test_gravity_compensation_is_said(tmp_path):
     path = one_body(tmp_path, "<joint/>")
     path.write_text(path.read_text().replace('name="body"', 'name="body" gravcomp="1"'))
-    assert read(path)[1] == ("1 bodies with gravcomp",)
+    assert read(path)[1] == ("1 body with gravcomp",)
 
 
 @pytest.mark.parametrize("flag", ["contact", "constraint", "frictionloss"])
@@ -869,7 +897,7 @@ def test_what_is_disabled_anyhow_is_not_left_out(tmp_path, flag):
         tmp_path, '<joint name="knee" frictionloss="0.1"/>', inside='<geom size="0.1"/>',
         outside=f'<option><flag {flag}="disable"/></option>',
     )  # fmt: skip
-    friction, contact = "joint knee: friction 0.1", "1 geoms that collide"
+    friction, contact = "joint knee: friction 0.1", "1 geom that collides"
     expected = {"contact": (friction,), "constraint": (), "frictionloss": (contact,)}
     assert read(path)[1] == expected[flag]
 
@@ -885,7 +913,7 @@ def test_what_is_left_out_is_said_once(tmp_path):
     _, left_out = read(path)
     assert left_out == (
         "joint knee: limits -1 … 1", "joint knee: friction 0.1", "joint knee: armature 0.01",
-        "equality 0: an equality that is not active", "1 geoms that collide", "1 actuators",
+        "equality 0: an equality that is not active", "1 geom that collides", "1 actuator",
     )  # fmt: skip
     with pytest.warns(LeftOutWarning, match="left out are joint knee: limits -1 … 1; joint knee"):
         lierb.Mechanism.from_mjcf(path)
@@ -968,3 +996,15 @@ def test_a_path_that_is_none_is_refused(tmp_path):
         lierb.Mechanism.from_urdf(tmp_path / "missing.urdf")
     with pytest.raises(ArgumentError, match="expected the path of a file"):
         lierb.Mechanism.from_urdf(17)
+
+
+def test_the_page_on_model_files_names_what_replaces_what_is_left_out(tmp_path):
+    """Its cells run: friction, an actuator and an armature that the file would have."""
+    with pytest.warns(LeftOutWarning):
+        names = names_of("../howto/model_files", tmp_path)
+    arm, driven = names["arm"], names["driven"]
+    added = [(force.name, *force.at) for force in driven.forces[len(arm.forces) :]]
+    friction = [("joint_friction", "upper"), ("joint_friction", "lower")]
+    assert added == [*friction, ("motor", "lower")]
+    more = driven.link("upper").body.inertia - arm.link("upper").body.inertia
+    np.testing.assert_allclose(more, 0.003 * np.eye(3), rtol=0, atol=1e-16)

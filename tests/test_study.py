@@ -563,7 +563,7 @@ def test_whatever_can_be_sampled_has_a_unit():
         force = getattr(lierb.forces, name)
         parameters = inspect.signature(force).parameters.values()
         names = {p.name for p in parameters if p.kind is not p.VAR_KEYWORD}
-        names -= {"frame", "coordinate", "coordinates", "turns"}
+        names -= {"frame", "coordinate", "coordinates", "turns", "state"}
         assert set(units) == names
         listed = entries(sections(force.__doc__)["Parameters"])
         for parameter in names:  # as the function's own text has it: "Stiffness, N/m."

@@ -10,6 +10,7 @@ import signal
 import subprocess
 import sys
 import time
+import tomllib
 from pathlib import Path
 
 import numpy as np
@@ -440,6 +441,47 @@ def test_study_of_a_problem_makes_the_same_problem():
             np.testing.assert_array_equal(other.parameters[name], array)
     assert [force.label for force in study.problem.forces[:2]] == ["drag", "drag_2"]
     assert Study.of(study.model_dump()) == study
+
+
+def test_study_of_leaves_out_numbers_that_are_defaults():
+    """What a reader sees of a file is what is special about it; and it is the same study."""
+    acting = [
+        lierb.forces.joint_friction(viscous=0.1),
+        lierb.forces.torsional_spring(stiffness=1.0),
+        lierb.forces.joint_limit(lower=-1.0, upper=1.0, stiffness=5.0),
+        lierb.forces.motor(torque=0.0),
+        lierb.forces.constant_wrench((0.0, 0.0, 1.0), frame="ground"),
+    ]
+    given = lierb.Problem(lierb.Body(1.0, (1.0, 1.0, 1.0)), lierb.joints.revolute(), forces=acting)
+    values = lierb.sampling.Values
+    quantities = {
+        "forces.torsional_spring.damping": values([1.0, 2.0]),
+        "body.com": values([[0.0, 0.0, 0.1]] * 2),
+        "joint.ground_point": values([[0.1, 0.0, 0.0]] * 2),
+    }
+    design = lierb.sampling.Design(quantities, n=2)
+    study = lierb.study_of(given, design, dt=1e-3, t_end=0.1, cspace=["SE3"])
+    tables = tomllib.loads(study.to_toml())
+    assert tables["body"].keys() == {"mass", "inertia"}
+    assert tables["joint"] == {"type": "revolute"}
+    assert tables["problem"]["forces"] == [
+        {"type": "joint_friction", "viscous": 0.1},
+        {"type": "torsional_spring", "stiffness": 1.0},
+        {"type": "joint_limit", "lower": -1.0, "upper": 1.0, "stiffness": 5.0},
+        {"type": "motor", "torque": 0.0},
+        {"type": "constant_wrench", "torque": [0.0, 0.0, 1.0]},
+    ]
+    assert tables["integrate"].keys() == {"dt", "t_end"}
+    assert Study.of(tables).digest() == study.digest()
+    made = study.batch(0, 2).problem
+    np.testing.assert_array_equal(made.forces[1].parameters["damping"], [1.0, 2.0])
+    np.testing.assert_array_equal(made.body.com[0], [0.0, 0.0, 0.1])
+    np.testing.assert_array_equal(made.joint.ground_frame[:, :3, 3], [[0.1, 0.0, 0.0]] * 2)
+    np.testing.assert_array_equal(made.joint.ground_frame[0, :3, :3], np.eye(3))
+    turned = lierb.Problem(given.body, lierb.joints.revolute(axis=(1.0, 0.0, 0.0)))
+    joint = lierb.study_of(turned, design=lierb.sampling.Design({"body.mass": 1.0}, n=1),
+                           dt=1e-3, t_end=0.1).joint  # fmt: skip
+    assert (joint.body_frame is None, joint.ground_frame is None) == (False, True)
 
 
 @pytest.mark.parametrize(

@@ -172,7 +172,7 @@ def test_each_force_counts_the_turns_of_its_own_joint():
             lierb.turns("second", start=-50.0).on("b"),
         ],
     )  # fmt: skip
-    assert [force.kind.counter for force in machine.forces] == [3, 0]
+    assert [force.kind.index for force in machine.forces] == [3, 0]
     pose0 = machine.pose({"a": 10.0, "b": -50.0})
     result = integrate(machine, pose0=pose0, twist0=machine.twist(), dt=1e-2, t_end=2.0)
     cosine = np.cos(2.0 * FREQUENCY)

@@ -90,7 +90,7 @@ def convergence(
         Body-fixed twist at t0, as in `integrate`.
     t_end : float
         End time, s.
-    pose0 : array_like or RigidTransform, shape (4, 4) or (n, 4, 4), or dict of them, optional
+    pose0 : array_like, Rotation or RigidTransform, (4, 4) or (n, 4, 4), or dict of them, optional
         Pose at t0, as in `integrate`.
     t0 : float, optional
         Start time, s.

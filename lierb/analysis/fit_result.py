@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from lierb.analysis.identifiability import Direction
+from lierb.errors import unknown_name
 from lierb.model.mechanism.mechanism import Mechanism
 from lierb.model.problem import Problem
 from lierb.results.result import Result
@@ -16,6 +17,9 @@ from lierb.support.arrays import Array
 from lierb.support.representations import FAILED, Lines, Represented, counted
 
 MOST_LISTED = 40  # numbers in the table of a description
+# Least chi2 per freedom f that counts as a misfit, and its least excess over 1, in standard
+# deviations √(2/f) of chi2/f: noise does not reach it, and a sigma rough by a third neither.
+MISFIT, DEVIATIONS = 2.0, 5.0
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -49,6 +53,8 @@ class Fit(Represented):
         Times of the data, s.
     residuals : dict of ndarray, shape (times, n, width)
         Run minus data, by column, SI units; NaN for a missing sample.
+    has_sigma : bool
+        True if the fit was given `sigma`.
     chi2 : float
         Sum of the squares of all residuals, each divided by its `sigma` if there is one.
     freedoms : int
@@ -71,6 +77,7 @@ class Fit(Represented):
     result: Result
     t: Array
     residuals: dict[str, Array]
+    has_sigma: bool
     chi2: float
     freedoms: int
     converged: bool
@@ -88,6 +95,60 @@ class Fit(Represented):
         return self.chi2 / self.freedoms if self.freedoms > 0 else np.nan
 
     @property
+    def misfit(self) -> str:
+        """Return a sentence if noise of the given sigma cannot explain chi2; empty otherwise.
+
+        Without sigma nothing is known of the noise.
+        """
+        if not self.has_sigma or self.freedoms <= 0:
+            return ""
+        reduced = self.reduced_chi2
+        if not reduced > max(MISFIT, 1.0 + DEVIATIONS * np.sqrt(2.0 / self.freedoms)):
+            return ""
+        return (
+            f"the model does not explain the data: residuals are {np.sqrt(reduced):.3g} times "
+            "their sigma.\nA force may be missing, a fixed number wrong, the minimum a local one, "
+            "or sigma too small."
+        )
+
+    def covariance_of(self, *names: str) -> Array:
+        """Return the covariance of some of the numbers, a block of `covariance`.
+
+        Parameters
+        ----------
+        *names : str
+            Names of parameters, or of single numbers as in `labels`, in the order of the block.
+
+        Returns
+        -------
+        ndarray, shape (k, k)
+            Covariance, in SI units.
+
+        Raises
+        ------
+        UnknownNameError
+            A name is neither a parameter's nor a label.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> import lierb
+        >>> flight = lierb.Problem(lierb.bodies.sphere(0.1, mass=1.0), lierb.joints.free())
+        >>> data = {"t": [0.0, 1.0], "omega": [[0.0, 0.0, 1.0], [0.0, 0.0, 1.1]]}
+        >>> run = {"twist0": np.eye(6)[2], "dt": 0.1, "sigma": {"omega": 0.1}}
+        >>> fit = lierb.fit(flight, data, "omega0", **run)
+        >>> fit.covariance_of("omega0[2]").round(4).tolist()
+        [[0.005]]
+        """
+        chosen = []
+        for name in names:
+            own = [i for i, x in enumerate(self.labels) if name in (x, x.partition("[")[0])]
+            if not own:
+                raise unknown_name("name", name, (*self.estimate, *self.labels))
+            chosen += own
+        return self.covariance[np.ix_(chosen, chosen)]
+
+    @property
     def correlation(self) -> Array:
         """Return the correlations of all numbers, (p, p); NaN for numbers without variance."""
         deviations = np.sqrt(np.diag(self.covariance))
@@ -102,7 +163,10 @@ class Fit(Represented):
         rows.append(
             ("chi2", f"{self.chi2:.6g}, {self.reduced_chi2:.4g} per freedom of {self.freedoms}")
         )
-        rows += [("not told", each.sentence) for each in self.unidentifiable]
+        if self.unidentifiable:
+            rows.append(("not told", "\n".join(map(str, self.unidentifiable))))
+        if self.misfit:
+            rows.append(("misfit", self.misfit))
         rows.append(("ended" if self.converged else FAILED, self.status))
         return title, rows
 

@@ -72,7 +72,7 @@ def fit(
         Pairs (low, high) by parameter. An inertia needs none: it stays that of a rigid body.
     twist0 : array_like, shape (6,) or (n, 6), or dict of them, optional
         Twist at t0, or its guess, as in `integrate`.
-    pose0 : array_like or RigidTransform, shape (4, 4) or (n, 4, 4), or dict of them, optional
+    pose0 : array_like, Rotation or RigidTransform, (4, 4) or (n, 4, 4), or dict of them, optional
         Pose at t0, or its guess, as in `integrate`.
     t0 : float, optional
         Start time, s.
@@ -234,7 +234,8 @@ def _report(task: Task, solution: Any, evaluations: int) -> Fit:
         estimate=_estimate(task), standard_errors=_by_parameter(task, deviations),
         covariance=covariance, labels=unknowns.labels, unidentifiable=_untold(unknowns, told),
         problem=model, start={**varied.start, "t0": task.variation.t0}, result=result,
-        t=task.data.t, residuals=residuals, chi2=chi2, freedoms=freedoms,
+        t=task.data.t, residuals=residuals, has_sigma=task.data.has_sigma,
+        chi2=chi2, freedoms=freedoms,
         converged=bool(solution.status > 0), status=_status(solution), evaluations=evaluations,
     )  # fmt: skip
 

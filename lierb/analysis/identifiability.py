@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lierb.support.arrays import Array
+from lierb.support.representations import counted
 
 NO_EFFECT = 1e-12
 """Columns of the scaled Jacobian up to this, relative to the largest, have no effect."""
@@ -18,6 +19,7 @@ NO_DIFFERENCE = 1e-8
 
 SHARE = 1e-6  # smaller components of a unit vector count as zero
 SAME = 1e-3  # relative changes that differ by less are one scale
+MOST_NAMED = 4  # numbers in the description of a direction
 
 
 class Direction(NamedTuple):
@@ -29,7 +31,8 @@ class Direction(NamedTuple):
         Changes that leave the data as they are, together, by number of a parameter; SI units. The
         largest is that of the first.
     sentence : str
-        Description in words.
+        Description in a line: one number, the common scale of parameters, or numbers that change
+        together, the largest relative changes first.
     """
 
     changes: dict[str, float]
@@ -115,17 +118,18 @@ def described(
     names = [labels[i] for i in order]
     by_label = {labels[i]: float(changes[i]) for i in order}
     if len(names) == 1:
-        return Direction(by_label, f"{names[0]} has no effect on the data")
+        return Direction(by_label, f"{names[0]} has no effect")
     own = values[order]
     ratios = changes[order] / np.where(own != 0.0, own, np.nan)
     if np.all(np.abs(ratios / ratios[0] - 1.0) < SAME):
-        listed = f"{', '.join(names[:-1])} and {names[-1]}"
-        return Direction(
-            by_label,
-            f"the common scale of {listed} has no effect on the data, only their ratios have",
-        )
-    parts = [f"{labels[i]} by {changes[i]:+.4g} {units[i]}".rstrip() for i in order]
-    return Direction(
-        by_label,
-        f"the data stay as they are if {', '.join(parts[:-1])} and {parts[-1]} change together",
-    )
+        owners = dict.fromkeys(name.rpartition("[")[0] or name for name in names)
+        return Direction(by_label, f"the common scale of {_listed(list(owners))} has no effect")
+    parts = [f"{labels[i]} by {changes[i]:+.4g} {units[i]}".rstrip() for i in chosen]
+    return Direction(by_label, f"{_listed(parts)} together have no effect")
+
+
+def _listed(parts: Sequence[str]) -> str:
+    """Join words; name the first ones only if there are many."""
+    if len(parts) > MOST_NAMED:
+        parts = [*parts[: MOST_NAMED - 1], counted(len(parts) - MOST_NAMED + 1, "other number")]
+    return " and ".join(filter(None, (", ".join(parts[:-1]), parts[-1])))

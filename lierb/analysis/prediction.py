@@ -173,7 +173,7 @@ def predict(
     ----------
     problem : Problem or Mechanism
         One problem, not a batch.
-    pose0 : array_like or RigidTransform, shape (4, 4), or dict of them, optional
+    pose0 : array_like, Rotation or RigidTransform, shape (4, 4), or dict of them, optional
         Pose of the body, which determines the position of its frame relative to the joint, and the
         branch. For a mechanism, a dictionary of all links' poses. Default: the closed joint; for a
         mechanism `mechanism.close(mechanism.pose())`.

@@ -66,7 +66,7 @@ def propagate(
         "rod.pose". Default: pose and twist of every link.
     twist0 : array_like, shape (6,), or dict of them, optional
         Twist at t0, as in `integrate`.
-    pose0 : array_like or RigidTransform, shape (4, 4), or dict of them, optional
+    pose0 : array_like, Rotation or RigidTransform, shape (4, 4), or dict of them, optional
         Pose at t0, as in `integrate`.
     t0 : float, optional
         Start time, s.

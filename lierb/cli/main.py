@@ -18,6 +18,7 @@ from lierb.cli.comparing import compare
 from lierb.cli.terminal import INTERRUPTED, print_whole, progress_of_cases, wrapped
 from lierb.errors import LierbError
 from lierb.support.extras import MissingExtraError, require
+from lierb.support.representations import counted
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -143,7 +144,8 @@ def cache(clear: bool) -> None:
             raise click.ClickException(
                 f"{error.filename} cannot be deleted: {error.strerror}"
             ) from error
-        click.echo(f"Deleted {len(deleted)} files, {sum(deleted.values()) / 1e6:.1f} MB.")
+        megabytes = sum(deleted.values()) / 1e6
+        click.echo(f"Deleted {counted(len(deleted), 'file')}, {megabytes:.1f} MB.")
         return
     facts = info()["cache"]
     size = f"{facts['kernels']} kernels of this version, {facts['bytes'] / 1e6:.1f} MB"

@@ -138,14 +138,14 @@ _caches: list[DiskCache] = []  # caches of this process
 
 
 def clear() -> dict[Path, int]:
-    """Delete all compiled code of lierb on the disk, of any version; return the files' sizes.
+    """Delete all compiled code and syntax trees on the disk, of any version; return their sizes.
 
     Raises OSError for a file that cannot be deleted.
     """
-    there = dict(sized(p for each in _caches for f in each.folders for p in each.files(f)))
+    code = (p for each in _caches for f in each.folders for p in each.files(f))
+    there = dict(sized((*code, *stamp.files())))
     for path in there:
         path.unlink(missing_ok=True)
-    stamp.forget()
     return there
 
 

@@ -178,8 +178,7 @@ def _remember() -> None:
             return
 
 
-def forget() -> None:
-    """Delete the stored syntax trees."""
+def files() -> Iterator[Path]:
+    """Yield the files with stored syntax trees, of any version, and unfinished ones."""
     for folder in sealed.folders_of(described):
-        for path in folder.glob(f"*{SUFFIX}*"):
-            path.unlink(missing_ok=True)
+        yield from folder.glob(f"*{SUFFIX}*")

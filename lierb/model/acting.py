@@ -89,26 +89,30 @@ def bind(problem: Any) -> None:
     Raises ForceError for a function of states or outputs that do not exist, ArgumentError for
     column names that exist already.
     """
-    labels = ("states", "controllers", "forces", "observables", "events")
+    labels = ("forces", "states", "controllers", "observables", "events")
     parts = bound(*(getattr(problem, label) for label in labels))
     for label, elements in zip(labels, parts, strict=True):
         object.__setattr__(problem, label, elements)
-    forces = tuple(_with_counter(force, problem.states) for force in problem.forces)
+    having = (*problem.forces, *problem.states)
+    forces = tuple(_with_index(force, having) for force in problem.forces)
     object.__setattr__(problem, "forces", forces)
     require_different_events(problem.events)
-    require_free(problem.observables, columns_of((*problem.states, *problem.controllers)))
+    require_free(problem.observables, columns_of((*having, *problem.controllers)))
 
 
-def _with_counter(force: Force, states: tuple[ExtraStates, ...]) -> Force:
-    """Return a force that counts turns with the index of its joint's counted angle."""
+def _with_index(force: Force, having: tuple[Element, ...]) -> Force:
+    """Return a force that reads a state, its own or its joint's counted angle, with its index.
+
+    having : elements that may have states, in their order.
+    """
     turns = getattr(force.kind, "turns", "")
-    if not turns:
+    if not (turns or force.columns):
         return force
     first = 0
-    for each in states:
+    for each in having:
         is_counter = isinstance(each.kind, TurnCounter) and each.name == turns
-        if is_counter and each.at == force.at:
-            return force.of_kind(counter=first)
+        if each is force if not turns else is_counter and each.at == force.at:
+            return force.of_kind(index=first)
         first += size_of(each.columns)
     where, place = (f" on {force.at[0]!r}", f".on({force.at[0]!r})") if force.at else ("", "")
     raise ForceError(

@@ -270,7 +270,8 @@ class Model(Represented):
     @cached_property
     def has_own_time(self) -> bool:
         """True if each trajectory needs a clock, for events, states, controllers or jumps."""
-        return bool(self.events or self.states or self.controllers) or self.has_jumps
+        has_states = any(element.columns for element in self.elements)
+        return bool(self.events or has_states or self.controllers) or self.has_jumps
 
     @property
     def counters(self) -> tuple[ExtraStates, ...]:

@@ -276,7 +276,7 @@ class Problem(Model):
 
         Parameters
         ----------
-        pose : array_like or RigidTransform, shape (4, 4) or (n, 4, 4)
+        pose : array_like, Rotation or RigidTransform, shape (4, 4) or (n, 4, 4)
             Pose near the joint.
         t0 : float, optional
             Time at which the position of a motor is evaluated, s.
@@ -356,7 +356,7 @@ class Problem(Model):
         ----------
         twist : array_like, shape (6,) or (n, 6)
             Body-fixed twist (ω, v), rad/s and m/s.
-        pose : array_like or RigidTransform, shape (4, 4) or (n, 4, 4), optional
+        pose : array_like, Rotation or RigidTransform, shape (4, 4) or (n, 4, 4), optional
             Pose of the body. Default: the closed joint.
         t0 : float, optional
             Time at which the speed or position of a motor is evaluated, s.

@@ -12,7 +12,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import NDArray
 
-from lierb.errors import ArgumentError, require_name
+from lierb.errors import ArgumentError, brief, require_name, unknown_name
 from lierb.model.problem import Problem
 from lierb.results.animation.page import Animation, animate, described_links
 from lierb.results.columns import as_array, as_codes
@@ -26,6 +26,7 @@ from lierb.results.states import (
     _scalars,
     _unit,
 )
+from lierb.support.arrays import is_whole
 from lierb.support.extras import require
 from lierb.support.representations import FAILED, Lines, counted, steps_text
 
@@ -130,6 +131,52 @@ class Result(RunStates):
                 "there are no derivatives; integrate with with_respect_to=, the parameters' names"
             )
         return self.sensitivities.array(of, with_respect_to)
+
+    def event_times(self, event: str, trajectory: int = 0) -> NDArray[np.float64]:
+        """Return the times at which an event happens in a trajectory.
+
+        Parameters
+        ----------
+        event : str
+            Name of the event.
+        trajectory : int, optional
+            Number of the trajectory, as in the tables.
+
+        Returns
+        -------
+        ndarray, shape (k,)
+            Times, ascending, s; empty if the event does not happen.
+
+        Raises
+        ------
+        ArgumentError
+            The problem has no events, or the result no such trajectory.
+        UnknownNameError
+            The problem has no event of this name.
+
+        Examples
+        --------
+        >>> import lierb
+        >>> @lierb.event
+        ... def at_the_wall(r):
+        ...     return r[0] - 0.3
+        >>> flight = lierb.Problem(lierb.bodies.sphere(0.1, mass=1.0), lierb.joints.free())
+        >>> start = {"twist0": (0.0, 0.0, 0.0, 2.0, 0.0, 0.0), "dt": 0.1, "t_end": 0.5}
+        >>> result = lierb.integrate(flight, **start, events=at_the_wall())
+        >>> result.event_times("at_the_wall").round(9).tolist()
+        [0.15]
+        """
+        table = self._table("events")
+        codes, names = as_codes(table["event"])
+        if event not in names:
+            raise unknown_name("event", event, names)
+        if not (is_whole(trajectory) and trajectory in as_array(self.summary["trajectory"])):
+            raise ArgumentError(
+                f"trajectory={brief(trajectory)}; expected a number in the column trajectory of "
+                "the summary"
+            )
+        chosen = (codes == names.index(event)) & (as_array(table["trajectory"]) == trajectory)
+        return np.asarray(as_array(table["t"])[chosen])
 
     def animate(self, path: str | os.PathLike[str] | None = None, **options: Any) -> Animation:
         """Animate trajectories; write an HTML file, or show the animation in a notebook.
@@ -277,6 +324,13 @@ class Result(RunStates):
 
     def _expanded(self, name: str) -> pa.Table:
         require_name("table", name, TABLES)
+        table = self._table(name)
+        columns: dict[pa.Field, Any] = {}
+        for each in table.schema:
+            columns |= _scalars(each, table[each.name])
+        return pa.Table.from_arrays(list(columns.values()), schema=pa.schema(list(columns)))
+
+    def _table(self, name: str) -> pa.Table:
         table = getattr(self, name)
         if table is None:
             remedy = {
@@ -284,10 +338,7 @@ class Result(RunStates):
                 "events": "give the problem, or integrate, events= made by lierb.event",
             }
             raise ArgumentError(f"there is no table of {name}; {remedy[name]}")
-        columns: dict[pa.Field, Any] = {}
-        for each in table.schema:
-            columns |= _scalars(each, table[each.name])
-        return pa.Table.from_arrays(list(columns.values()), schema=pa.schema(list(columns)))
+        return table
 
     def _representation(self) -> tuple[str, Lines]:
         options = _metadata(self.summary).get("options")

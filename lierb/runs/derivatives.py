@@ -73,10 +73,10 @@ def _obstacles(ready: Ready) -> Iterator[str]:
         )
     for controller in ready.model.controllers:
         yield f"the outputs of {controller.name} are not differentiated; leave controllers out"
-    if isinstance(plan, MechanismPlan) and plan.is_in_memory:
+    if isinstance(plan, MechanismPlan) and plan.is_in_memory and events_of(plan):
         yield (
-            'solver="looped" has no derivatives; take solver="unrolled", which is compiled for '
-            "this tree"
+            'solver="looped" has no derivatives of events; take solver="unrolled", which is '
+            "compiled for this tree"
         )
     if not plan.is_explicit:
         name = ready.options.timing.method.name
@@ -119,7 +119,10 @@ def integrate_with_derivatives(
     The values of all these runs are the same, to the bit, as those of a run without derivatives.
     """
     plan, inputs = ready.plan, _with_poses(ready)
-    moving = fields_of(parameters, (field.name for field, _ in inputs.columns))
+    names = [field.name for field, _ in inputs.columns]
+    moving = fields_of(parameters, names)
+    if isinstance(plan, MechanismPlan) and plan.is_in_memory:  # its code looks them up by column
+        moving = tuple(names[: names.index("state")])
     differentiated = plan_with_derivatives(plan, moving)
     with np.errstate(all="ignore"):  # of starts that violate their joints, which are refused later
         directions = all_directions(parameters, _start_of(ready, inputs))

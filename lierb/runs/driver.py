@@ -75,6 +75,7 @@ class Run(Generic[Clocks]):
         if not isinstance(plan, MechanismPlan) or not plan.is_in_memory:
             return {}
         table, rows = table_of(plan)
+        rows *= 1 + plan.directions
         size = 8 * rows * plan.lanes * self.threads
         require_memory(size, f"memory for {plan.links} links", "lower threads= of lierb.integrate")
         return {"table": table, "memory": _aligned(rows, plan.lanes)}

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from lierb.errors import ArgumentError, brief
-from lierb.kernels.mechanics.elements import UserStates
+from lierb.kernels.mechanics.elements import AddedStates, UserStates
 from lierb.methods import Method
 from lierb.methods.method import Limits
 from lierb.model.base import Model
@@ -72,11 +72,12 @@ def _check_limits(method: Method, limits: Limits, model: Model, timing: Timing) 
             f"{name} needs a joint whose motions are a proper subgroup of SE(3), not a "
             f"{model.joint.name} joint; RATTLie takes every joint"
         )
-    if model.states:
-        raise ArgumentError(
-            f"{name} integrates the motion alone, not the states of {model.states[0].name}; take "
-            "an explicit method or a Rosenbrock method"
-        )
+    for element in model.elements:
+        if isinstance(element.kind, AddedStates):
+            raise ArgumentError(
+                f"{name} integrates the motion alone, not the states of {element.name}; take an "
+                "explicit method or a Rosenbrock method"
+            )
     for row in model.rows:
         if not row.is_holonomic:
             raise ArgumentError(

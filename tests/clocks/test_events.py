@@ -111,6 +111,12 @@ def test_terminal_event_ends_its_trajectory_alone():
     ended = rows_of(result.summary, "t")
     np.testing.assert_allclose(ended[[0, 2]], np.sqrt(2 * h[[0, 2]] / G), atol=EXACT)
     assert ended[1] == 1.0
+    np.testing.assert_array_equal(result.event_times("landing", 2), seen(result, 2, "landing"))
+    assert result.event_times("height").size == 1
+    assert result.event_times("height", 1).size == 0
+    for wrong, message in (("heigth", "Did you mean 'height'"), ("landing", "trajectory=3")):
+        with pytest.raises(lierb.errors.LierbError, match=message):
+            result.event_times(wrong, 3)
     # it has its row as well; nothing comes after it
     assert seen(result, 0, "landing") == pytest.approx(ended[0], abs=0)
     assert seen(result, 0).max() == ended[0]
@@ -138,7 +144,10 @@ def test_events_of_the_call_are_added_to_those_of_the_problem():
 
 def test_no_events_no_table():
     problem, start = thrown(1.0, 0.0)
-    assert lierb.integrate(problem, **start, t_end=0.1, dt=0.1).events is None
+    result = lierb.integrate(problem, **start, t_end=0.1, dt=0.1)
+    assert result.events is None
+    with pytest.raises(lierb.errors.ArgumentError, match="there is no table of events; give"):
+        result.event_times("landing")
 
 
 def test_events_table_is_sorted_and_says_where_the_body_was():

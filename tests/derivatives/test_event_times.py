@@ -72,6 +72,7 @@ def test_times_of_terminal_events_have_exact_derivatives(options):
         assert abs(by("pose0")[5] + 1.0 / vertical) < 1e-10
 
 
+@pytest.mark.slow
 def test_states_at_terminal_events_change_with_the_end_time():
     result = thrown()
     t, vertical = flight(2.0)

@@ -131,14 +131,6 @@ def test_times_of_jumps_are_refused_by_name():
     refused(free_body(forces=burn()), "burn.stop.* is a time at which burn jumps", "burn.stop")
 
 
-def test_looped_code_is_refused():
-    pendulum = double_pendulum()
-    refused(
-        pendulum, 'solver="looped" has no derivatives', "upper.body.mass", solver="looped",
-        pose0=pendulum.pose(), twist0=pendulum.twist(),
-    )  # fmt: skip
-
-
 def test_a_centre_of_mass_on_another_cspace_is_refused():
     refused(free_body(), 'body.com cannot change on cspace="SO3xR3"', "body.com", cspace="SO3xR3")
 

@@ -59,8 +59,9 @@ NO_NUMBERS = {  # abstract, or of other things
     "loops.record.lane_input",
     "mechanics.axis_rows.AxisRow.moved",
     "mechanics.constraints.smooth_residuals",  # for systems.descriptor
-    "mechanics.elements.AddedStates.rates",
+    "mechanics.elements.AddedStates.at_start", "mechanics.elements.AddedStates.rates",
     "mechanics.elements.Element.depends_on_velocity", "mechanics.elements.Element.feels",
+    "mechanics.elements.Element.is_listed",
     "mechanics.elements.Element.placed", "mechanics.elements.Element.row",
     "mechanics.elements.Element.tangents",
     "mechanics.rows.Cosine.holds_turn", "mechanics.rows.GroundPoint.holds_slide",
@@ -120,6 +121,7 @@ OF_CLOCKS = (
     "stepping.stages.StageMethod.between",
     "stepping.stages.StageMethod.defects",
     "stepping.stages.StageMethod.extended",
+    "stepping.stages.StageMethod.extrapolated",
     "stepping.stages.beside_the_step",
     "loops.event_dips.",
     "loops.event_search.",

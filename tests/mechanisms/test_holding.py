@@ -1,9 +1,12 @@
 """Assemblies whose joints are held, against geometry by hand."""
 
+from contextlib import contextmanager
+
 import numpy as np
 import pytest
 
 import lierb
+from lierb.model.mechanism import closing, holding
 
 GROUND, CRANK, COUPLER, ROCKER = 0.4, 0.1, 0.35, 0.3
 TURNING = {"axis": (0.0, 0.0, 1.0)}
@@ -31,14 +34,18 @@ def four_bar(forces=()):
     return lierb.Mechanism(links, lierb.Loop("pin", pin, "rocker", "coupler"), forces=forces)
 
 
+def meeting(first, second, radii, branch):
+    """Cosine law: where circles about two points meet, left (1) or right (-1) of the line."""
+    diagonal, (a, b) = second - first, radii
+    length = np.hypot(*diagonal)
+    along, e = (a**2 - b**2 + length**2) / (2 * length), diagonal / length
+    return first + along * e + branch * np.sqrt(a**2 - along**2) * np.array((-e[1], e[0]))
+
+
 def pin_of(crank, branch):
     """Cosine law: where coupler and rocker meet, above (1) or below (-1) of the diagonal."""
     start = CRANK * np.array((np.cos(crank), np.sin(crank)))
-    diagonal = np.array((GROUND, 0.0)) - start
-    length = np.hypot(*diagonal)
-    along = (COUPLER**2 - ROCKER**2 + length**2) / (2 * length)
-    e = diagonal / length
-    return start + along * e + branch * np.sqrt(COUPLER**2 - along**2) * np.array((-e[1], e[0]))
+    return meeting(start, np.array((GROUND, 0.0)), (COUPLER, ROCKER), branch)
 
 
 def found_pin(pose):
@@ -108,3 +115,115 @@ def test_joints_with_several_coordinates_and_slides_are_held():
     np.testing.assert_allclose(found["ball"], hold["ball"], atol=1e-13)
     ends = (closed["stay"][:3, :] - closed["ball"][:3, :]) @ [0.1, 0.0, 0.0, 1.0]
     assert np.linalg.norm(ends) == pytest.approx(0.4, abs=1e-12)
+
+
+@pytest.fixture
+def counted(monkeypatch):
+    """Numbers of assemblies that progress is reported of, and their total."""
+    seen = []
+
+    @contextmanager
+    def reporter(progress, total, of):
+        yield lambda done: seen.append((done, total))
+
+    for module in (closing, holding):
+        monkeypatch.setattr(module, "reporter", reporter)
+    return seen
+
+
+def test_angles_go_the_shorter_way(counted):
+    """From 0.5 to 0.3 + 40 turns: two steps of 0.1 rad, for each of three crank angles."""
+    bars = four_bar()
+    rough = bars.pose({"crank": 0.5, "coupler": 0.4, "rocker": 1.9})
+    angles = 0.3 + 2.0 * np.pi * np.array([40.0, -40.0, 0.0])
+    pose = bars.close(rough, hold={"crank": angles})
+    assert counted == [(3, 6), (6, 6)]
+    bars.close(pose)
+    assert counted[2:] == [(3, 3)]
+    for i in range(3):
+        # 40 turns of rounding
+        np.testing.assert_allclose(found_pin(pose)[i], pin_of(0.3, 1), atol=1e-12)
+
+
+def test_rotation_vectors_go_the_shorter_way(counted):
+    box = lierb.bodies.box((0.1, 0.1, 0.1), mass=1.0)
+    ball = lierb.Mechanism(lierb.Link("ball", box, lierb.joints.spherical(body_point=(-0.2, 0, 0))))
+    axis, start = np.array((0.6, 0.0, 0.8)), (0.6, 0.1, 0.8)
+    pose = ball.close(ball.pose({"ball": start}), hold={"ball": (0.9 - 6.0 * np.pi) * axis})
+    assert counted == [(1, 1)]
+    right = ball.pose({"ball": 0.9 * axis})["ball"]
+    np.testing.assert_allclose(pose["ball"], right, rtol=0, atol=1e-14)
+
+
+def test_whole_turns_count_beside_a_gear_and_on_a_screw(counted):
+    wheel = lierb.bodies.cylinder(0.1, 0.02, mass=1.0)
+    links = [
+        lierb.Link("left", wheel, lierb.joints.revolute()),
+        lierb.Link("right", wheel, lierb.joints.revolute(ground_point=(0.3, 0.0, 0.0))),
+    ]
+    pair = lierb.Mechanism(links, forces=lierb.forces.gear(ratio=2.0).on("left", "right"))
+    turned = pair.close(pair.pose(), hold={"left": 2.0 * np.pi})
+    right = pair.coordinates(turned)["right"].item()
+    assert abs(right) == pytest.approx(np.pi, rel=1e-12)
+    nut = lierb.Mechanism(lierb.Link("nut", wheel, lierb.joints.screw(pitch=0.01)))
+    raised = nut.close(nut.pose(), hold={"nut": 2.0 * np.pi})["nut"]
+    assert raised[2, 3] == pytest.approx(0.02 * np.pi, rel=1e-12)
+
+
+# ---- all branches ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("angle", [-2.5, 0.0, 0.8])
+def test_c45_a_four_bar_has_two_assemblies(angle):
+    """Articraft#127: all branches on request. Right: both of the cosine law."""
+    bars = four_bar()
+    poses = bars.assemblies({"crank": angle})
+    pins = found_pin(poses)
+    order = np.argsort(-pins[:, 1])
+    right = np.array([pin_of(angle, branch) for branch in (1, -1)])
+    # closed to rounding, as above
+    np.testing.assert_allclose(pins[order], right, rtol=0, atol=1e-12)
+    for each in order:  # each of them is the nearest to itself
+        near = {name: pose[each] for name, pose in poses.items()}
+        first = found_pin(bars.assemblies({"crank": angle}, pose=near))[0]
+        np.testing.assert_allclose(first, pins[each], rtol=0, atol=1e-12)
+
+
+def test_c45_two_four_bars_in_series_have_four_assemblies():
+    """The second one's crank is the first one's rocker. Right: the cosine law, twice."""
+    first, far, rods = four_bar(), np.array((0.9, 0.1)), (0.5, 0.4)
+    links = [
+        *first.links,
+        rod("second", rods[0], "rocker", end_of(ROCKER)),
+        rod("output", rods[1], "ground", (*far, 0.0)),
+    ]
+    tip = lierb.joints.revolute(**TURNING, body_point=end_of(rods[1]), parent_point=end_of(rods[0]))
+    bars = lierb.Mechanism(links, [*first.loops, lierb.Loop("tip", tip, "output", "second")])
+    poses = bars.assemblies({"crank": 0.8}, starts=100)
+    tips = (poses["output"] @ [*end_of(rods[1]), 1.0])[:, :2]
+    found = np.concatenate([found_pin(poses), tips], axis=1)
+    right = [
+        [*(pin := pin_of(0.8, one)), *meeting(pin, far, rods, two)]
+        for one in (1, -1)
+        for two in (1, -1)
+    ]
+    assert len(found) == 4
+    # closed to rounding; the second pin amplifies that of the first by some ten
+    ordered = [sorted(each, key=lambda x: x.round(6).tolist()) for each in (found, np.array(right))]
+    np.testing.assert_allclose(*ordered, rtol=0, atol=1e-11)
+
+
+def test_assemblies_that_cannot_be_listed_are_refused():
+    bars, wheel = four_bar(), lierb.bodies.cylinder(0.1, 0.02, mass=1.0)
+    with pytest.raises(lierb.errors.ArgumentError, match="hold leaves 1 freedom, so"):
+        bars.assemblies(starts=5)
+    with pytest.raises(lierb.errors.ArgumentError, match=r"hold\['crank'\] has 2 members"):
+        bars.assemblies({"crank": [0.1, 0.2]})
+    with pytest.raises(lierb.errors.PoseError, match="none of 5 random starts comes to close"):
+        bars.assemblies({"rocker": 0.0}, starts=5)
+    with pytest.raises(lierb.errors.ArgumentError, match="starts=0; expected a whole number"):
+        bars.assemblies({"crank": 0.1}, starts=0)
+    links = [lierb.Link(name, wheel, lierb.joints.revolute()) for name in ("left", "right")]
+    pair = lierb.Mechanism(links, forces=lierb.forces.gear(ratio=2.0).on("left", "right"))
+    with pytest.raises(lierb.errors.ArgumentError, match="a gear's mesh is that of a start"):
+        pair.assemblies({"left": 0.1})

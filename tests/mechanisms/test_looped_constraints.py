@@ -129,6 +129,7 @@ def test_loops_move_and_react_as_by_unrolled_formulas(case):
     agree(*case())
 
 
+@pytest.mark.slow
 def test_mechanisms_with_usual_loops_share_their_code():
     looped(*shape("four_bar"), **RECORDED)
     before = kernels_loaded()
@@ -266,6 +267,7 @@ def test_bits_of_projected_adaptive_steps_depend_on_nothing_else(monkeypatch):
     np.testing.assert_array_equal(bits(looped(mechanism, start, **TIGHT)), expected)
 
 
+@pytest.mark.slow
 def test_a_run_goes_on_with_the_rank_of_its_start():
     mechanism, start = shape("four_bar")
     whole = looped(mechanism, start, t_end=0.04)

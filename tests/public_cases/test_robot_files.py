@@ -76,6 +76,55 @@ def test_c26_a_mimicked_joint_moves_with_the_other(tmp_path):
     np.testing.assert_allclose(summed(result, "right.omega")[0], (0, 0, -2.0 * speed), atol=1e-13)
 
 
+def chain(length: float, given: str) -> str:
+    """Three capsules, each hanging from the end of the one before, about axes that alternate.
+
+    given : "geoms", of water's density, or "inertials".
+    """
+    mass, inside = length**3 * 40.0, ""
+    moments = " ".join(repr(x * mass * length**2) for x in (0.09, 0.085, 0.008))
+    for axis in ("0 1 0", "1 0 0.2", "0 1 0"):
+        weight = f"""<geom type="capsule" fromto="0 0 0 0 {0.2 * length!r} {-length!r}"
+          size="{0.15 * length!r}"/>"""
+        if given == "inertials":
+            weight = f"""<inertial pos="0 {0.1 * length!r} {-0.5 * length!r}" mass="{mass!r}"
+              diaginertia="{moments}"/>"""
+        inside = f"""<body pos="0 {0.2 * length!r} {-length!r}"><joint axis="{axis}"/>{weight}
+          {inside}</body>"""
+    return f"""<mujoco><option gravity="0 0 -9.81"/><worldbody>{inside}</worldbody></mujoco>"""
+
+
+@pytest.mark.parametrize(
+    "given",
+    [
+        pytest.param("geoms", marks=pytest.mark.skipif(
+            not hasattr(mujoco.MjSpec, "adopt_inertial"), reason="needs a later MuJoCo")),
+        "inertials",
+    ],
+)  # fmt: skip
+def test_c10b_a_worm_of_a_tenth_of_a_millimetre_moves_as_a_large_one(tmp_path, given):
+    """newton#2211, mujoco#1086: moments of 1e-19 kg m² are below what MuJoCo's compiler takes.
+
+    Right: dynamic similarity, of a chain 1000 times as long in √1000 times the time.
+    """
+    ends = []
+    for length in (1e-4, 0.1):
+        machine = read_mjcf(tmp_path / "worm.xml", chain(length, given))
+        assert machine.link(machine.names[-1]).body.mass < 1e3 * length**3
+        step = 2e-3 * np.sqrt(length / 9.81)
+        pose0 = machine.pose(dict(zip(machine.names, (0.6, -0.4, 0.9), strict=True)))
+        result = lierb.integrate(
+            machine, pose0=pose0, dt=step, t_end=10_000 * step, solver="looped"
+        )
+        assert result.failed.size == 0
+        ends.append([result[name].rotation[0] for name in machine.names])
+        ends[-1] += [result[name].position[0] / length for name in machine.names]
+    assert np.abs(ends[0][0] - pose0[machine.names[0]][:3, :3]).max() > 0.1  # it moves
+    for small, large in zip(*ends, strict=True):
+        # rounding of 10⁴ steps left 3e-14
+        np.testing.assert_allclose(small, large, rtol=0, atol=1e-11)
+
+
 HOPPER = """<mujoco><option gravity="0 0 -9.81" timestep="1e-4" integrator="RK4"/><worldbody>
   <body name="torso" pos="0 0 1.2">
     <joint type="slide" axis="1 0 0"/><joint type="slide" axis="0 0 1"/>

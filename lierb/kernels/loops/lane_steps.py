@@ -95,8 +95,9 @@ def next_trial(plan: AnyPlan, body: Any, lanes: Lanes, stop: Any, active: Any) -
     for time in system_of(plan).jumps(body):
         stop = sooner(lanes, stop, time)
     if plan.is_adaptive:
-        longest = longest_step(plan, body, state, state, clock.t, clock.h)
-        stop = stop if longest is None else minimum(stop, clock.t + longest)
+        longest = longest_step(plan, body, state, state, clock.t, clock.h, clock.h)
+        if longest is not None:
+            clock = clock._replace(h=minimum(clock.h, longest))
     return trial_of(plan, clock, stop, active)
 
 
@@ -119,6 +120,7 @@ class Made(NamedTuple):
     singular : 1 in a singular configuration.   unsolved : 1 where an iteration has not converged.
     square, correction : squares of the error and of the stabilisation's correction, relative to
         the tolerances.
+    nearer : longest step by the rates at the start, s; structurally zero if nothing bounds it.
     """
 
     state: State
@@ -127,6 +129,7 @@ class Made(NamedTuple):
     unsolved: Any
     square: Any
     correction: Any
+    nearer: Any
 
 
 def attempted(plan: AnyPlan, body: Any, lanes: Lanes, trial: Trial, limits: Tolerances) -> Made:
@@ -137,6 +140,7 @@ def attempted(plan: AnyPlan, body: Any, lanes: Lanes, trial: Trial, limits: Tole
     made = method_of(plan).step(system_of(plan), body, state, at, all_stages)
     square: Any = ZERO
     correction: Any = ZERO
+    nearer: Any = ZERO
     if plan.is_adaptive:
         body, before, seen = values(body), values(state), values(made)
         square = squared_error(plan, body, before, seen.state, seen.slopes, trial.h, limits)
@@ -144,9 +148,14 @@ def attempted(plan: AnyPlan, body: Any, lanes: Lanes, trial: Trial, limits: Tole
         correction = squared_correction(
             plan, body, before, seen.stabilised, trial.h, limits, is_first
         )
+        if not plan.is_looped:
+            at_end = method_of(plan).extrapolated(system_of(plan), before, seen.slopes, trial.h)
+            wanted = lanes.clock.h
+            longest = longest_step(plan, body, before, at_end, trial.start, trial.h, wanted)
+            nearer = ZERO if longest is None else longest
     slopes = made.slopes if plan.is_continuous else ()
     moved = with_all_parts(plan, made.state)
-    return Made(moved, slopes, values(made.singular), made.unsolved, square, correction)
+    return Made(moved, slopes, values(made.singular), made.unsolved, square, correction, nearer)
 
 
 class Decision(NamedTuple):
@@ -184,10 +193,11 @@ def decided(
     clock, longest = lanes.clock, None
     if plan.is_adaptive:
         body, before = values(body), values(lanes.state)
-        longest = longest_step(plan, body, before, moved, clock.t, clock.h)
+        longest = longest_step(plan, body, before, moved, clock.t, trial.h, clock.h)
     verdict = judged(
-        plan, clock, trial, fine, singular, made.unsolved, square, longest, limits, active
-    )
+        plan, clock, trial, fine, singular, made.unsolved, square, longest, made.nearer, limits,
+        active,
+    )  # fmt: skip
     return Decision(verdict.accepted, verdict.failed, lanes._replace(clock=verdict.clock))
 
 

@@ -98,7 +98,7 @@ def carried_rows(plan: AnyPlan) -> int:
     """Return the number of rows of `carried`: `carried_columns`, and a looped plan's states."""
     own = carried_columns(plan.code).count
     if isinstance(plan, MechanismPlan) and plan.is_in_memory:
-        return own + int(table_of(plan)[0][0, STATE_ROWS])
+        return own + int(table_of(plan)[0][0, STATE_ROWS]) * (1 + plan.directions)
     return own
 
 

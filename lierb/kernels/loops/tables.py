@@ -179,6 +179,10 @@ def _store_parts(
 ) -> int:  # fmt: skip
     """Store all derivatives of a state from row `first` on; return their number."""
     own, body = system_of(plan), with_rank(plan, body, record)
+    if plan.is_looped:
+        alive = record.status == OK
+        in_memory(plan).store_derivatives(body, state, array, place, time, alive)
+        return 0
     given = load_values(plan, inputs) if first else load_inputs(plan, inputs)
     parts = tuple(differentiated(plan, own, body, given, state, time))
     parts = where(record.status == OK, parts, (NAN,) * len(parts))

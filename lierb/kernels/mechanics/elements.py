@@ -34,7 +34,16 @@ from lierb.kernels.mechanics.newton_euler import (
 )
 from lierb.kernels.mechanics.rows import AddedRow, Rows
 from lierb.kernels.mechanics.scale import ROUNDING
-from lierb.kernels.numbers.arithmetic import PI, absolute, flatten, fma, plain, rint, where
+from lierb.kernels.numbers.arithmetic import (
+    PI,
+    absolute,
+    flatten,
+    fma,
+    plain,
+    rint,
+    sqrt,
+    where,
+)
 from lierb.kernels.numbers.dual import Dual
 from lierb.kernels.numbers.number import Number
 from lierb.kernels.numbers.trigonometry import atan2
@@ -107,6 +116,11 @@ class Element:
     discontinuities: tuple[str, ...] = ()  # parameters that are times of possible jumps, s
     rows: int = 0
 
+    @property
+    def is_listed(self) -> bool:
+        """Return whether looped code has it one by one: passive elements, and extra states."""
+        return self.is_passive or isinstance(self, AddedStates)
+
     def require_fit(self, parameters: Mapping[str, Any]) -> None:
         """Raise ArgumentError for parameters, arrays by name, that no such element can have."""
 
@@ -169,7 +183,9 @@ class Element:
         torque, force = wrench
         return dot(torque, x.omega) + dot(force, x.v)
 
-    def travel(self, placed: Any, start: Motion, end: Motion, size: Any) -> tuple[Bound, ...]:
+    def travel(
+        self, placed: Any, start: Motion, end: Motion, h: Any, size: Any
+    ) -> tuple[Bound, ...]:
         """Bounds on an adaptive step: rates of the pose at `end`, and largest displacements.
 
         The error estimate of a step depends on its stages alone. If an element acts in a small
@@ -177,7 +193,8 @@ class Element:
         function of the pose: a fraction of a turn, and a displacement that is short relative to
         the distance from the frame's origin.
 
-        start, end : motions at both ends of the step.   size : the body's radius of gyration, m.
+        start, end : motions at both ends of a step, of length h, s; equal before it is tried.
+        size : the body's radius of gyration, m.
         """
         way = fma(SHARE, norm(start.place), size)
         return Bound(norm(end.omega), TURN), Bound(norm(end.v), way)
@@ -194,21 +211,36 @@ class Bound(NamedTuple):
     distance: Number
 
 
-def travel_to_kink(place: Any, rate: Any, kinks: tuple[Any, ...]) -> Bound:
+def travel_to_kink(place: Any, start: Any, end: Any, h: Any, kinks: tuple[Any, ...]) -> Bound:
     """Bound that ends a step just before the next kink of a force.
 
-    All stages of the step are then on one side of the kink.
+    All stages of the step are then on one side of the kink. Its time is that of a motion whose
+    rate changes uniformly from start to end of a step.
 
-    place, rate : the coordinate and its rate, relative to the middle of the kinks.
-    kinks : their coordinates for rate ≥ 0, ascending; for rate < 0, their negatives. The last
-        one is greater than any coordinate.
+    place : coordinate at the start, relative to the middle of the kinks.
+    start, end : its rate at both ends of a step of length h, s.
+    kinks : coordinates ahead in the positive direction, ascending; their negatives are those in the
+        other one. The last one is greater than any coordinate.
     """
-    ahead = where(rate >= 0.0, place, -place)
     *near, last = kinks
-    distance: Any = last - ahead
-    for kink in reversed(near):
-        distance = where(kink > ahead, kink - ahead, distance)
-    return Bound(absolute(rate), BEFORE * distance)
+
+    def distance_to_kink(ahead: Any) -> Any:
+        distance: Any = last - ahead
+        for kink in reversed(near):
+            distance = where(kink > ahead, kink - ahead, distance)
+        return distance
+
+    forward = where(start == 0.0, end, start) >= 0.0
+    ahead, speed = where(forward, place, -place), absolute(start)
+    gain = where(forward, end - start, start - end) / where(h > 0.0, h, 1.0)
+    # The distance d is passed in τ, d = speed τ + gain τ²/2; the mean speed until then is d/τ.
+    distance, behind = distance_to_kink(ahead), distance_to_kink(-ahead)
+    square = fma(2.0 * gain, distance, speed * speed)
+    reaches = square >= 0.0  # else it turns back before
+    root = sqrt(where(reaches, square, fma(-2.0 * gain, behind, speed * speed)))
+    back = root + speed
+    mean = where(reaches, 0.5 * back, -gain * behind / where(back > 0.0, back, 1.0))
+    return Bound(mean, BEFORE * where(reaches, distance, behind))
 
 
 @dataclass(frozen=True)
@@ -413,30 +445,39 @@ class _Starting(Passive):
         return values
 
 
-class AddedStates(_Starting):
-    """Extra states, integrated from their derivatives.
+class AddedStates(Element):
+    """Element with extra states, integrated from their derivatives.
 
     depends_on_pose : True if the initial values depend on the pose at the start.
+    states : shapes by name.   state_unit : their unit.
     """
 
     depends_on_pose: ClassVar = False
+    state_unit: ClassVar = "1"
     states: Shapes
-
-    @property
-    def own(self) -> Shapes:
-        return self.states
 
     def at_start(self, placed: Any, x: Motion | None) -> Vec:
         """Initial values.   x : motion at the start, if they depend on the pose."""
-        return self.initial(placed)
+        raise NotImplementedError
 
     def rates(self, placed: Any, x: Motion) -> Vec:
         """Derivatives of all states, flattened."""
         raise NotImplementedError
 
 
+class PassiveStates(AddedStates, _Starting):
+    """Extra states without an effect of their own."""
+
+    @property
+    def own(self) -> Shapes:
+        return self.states
+
+    def at_start(self, placed: Any, x: Motion | None) -> Vec:
+        return self.initial(placed)
+
+
 @dataclass(frozen=True)
-class TurnCounter(AddedStates):
+class TurnCounter(PassiveStates):
     """Angle of a joint's axis without end: the integral of its rate."""
 
     depends_on_pose: ClassVar = True
@@ -467,7 +508,7 @@ def counted_turn(q: Mat, near: Any) -> Any:
 
 
 @dataclass(frozen=True)
-class UserStates(AddedStates):
+class UserStates(PassiveStates):
     """User's extra states."""
 
     bounds_steps: ClassVar = True

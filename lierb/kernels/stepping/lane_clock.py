@@ -198,6 +198,7 @@ def judged(
     unsolved: Any,
     square: Any,
     longest: Any,
+    nearer: Any,
     limits: Tolerances,
     active: Any,
 ) -> Verdict:
@@ -208,6 +209,8 @@ def judged(
         NO_CONVERGENCE.
     square : square of the error.
     longest : longest step that elements allow at the velocity at its end, s; None for any.
+    nearer : the same by the rates at its start, which a failed step does not spoil;
+        structurally zero if it is unknown.
     """
     running = active > 0.5
     raised = running & ~running
@@ -221,13 +224,17 @@ def judged(
         return _fixed(clock, trial, fine, worse, raised, running)
     steps = clock.steps
     meets = fine & (square <= 1.0) & (trial.end > trial.start)  # false for NaN
+    is_exact = meets
     if longest is not None:
         meets = meets & (trial.h <= PASSED * longest)
     accepted = running & meets & ~raised
     by = change(plan, where(fine & (square == square), square, INF), clock.before, meets)
     grown = trial.h * by.factor
     if longest is not None:
-        grown = where(meets, grown, minimum(grown, longest))
+        shorter = where(is_exact, longest, minimum(grown, longest))
+        if not is_zero(nearer):
+            shorter = where(trial.h > PASSED * nearer, nearer, shorter)
+        grown = where(meets, grown, shorter)
     # A step that was cut short does not determine the length of a full one.
     longer = where(trial.h < 0.5 * clock.h, maximum(grown, clock.h), grown)
     taken = clock._replace(

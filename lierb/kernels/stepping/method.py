@@ -73,6 +73,9 @@ class Method(Protocol):
     def defects(self, system: AnySystem, body: Any, slopes: Slopes, h: Any) -> tuple[Defect, ...]:
         """Return the step's error estimates with these slopes, the one of highest order first."""
 
+    def extrapolated(self, system: AnySystem, state: State, slopes: Slopes, h: Any) -> State:
+        """Return the state with the V or μ that its rates at the start give after h."""
+
     def extended(
         self, system: AnySystem, body: Any, state: State, at: Interval, slopes: Slopes
     ) -> Slopes:

@@ -71,6 +71,10 @@ class Rosenbrock(StageMethod):
             slopes = slopes.with_stage(unknowns.rates(body, k))
         return slopes, singular
 
+    def extrapolated(self, system: AnySystem, state: State, slopes: Slopes, h: Any) -> State:
+        """Return the state with the V or μ after h of its first slope, γ ẏ where J is small."""
+        return super().extrapolated(system, state, slopes, h / self.scheme.gamma)
+
 
 def _iteration_matrix(jacobian: Jacobian, unit: Any) -> list[list[Any]]:
     """Return 1 − hγJ.   unit : hγ."""

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from lierb.kernels.numbers.arithmetic import fma, maximum
-from lierb.kernels.numbers.vec import Vec
+from lierb.kernels.numbers.vec import Vec, axpy
 from lierb.kernels.numbers.zero import ZERO, is_zero
 from lierb.kernels.stepping.method import Defect, Interval, Step
 from lierb.kernels.systems.combine import weighted
@@ -77,6 +77,10 @@ class StageMethod:
             self._defect(system, body, slopes, h, weights)
             for weights in self.scheme.embedded.weights
         )
+
+    def extrapolated(self, system: AnySystem, state: State, slopes: Slopes, h: Any) -> State:
+        unit = self.slope_units(system, h)[1]
+        return state._replace(v_or_mu=axpy(unit, slopes.v_or_mu[0], state.v_or_mu))
 
     def _defect(
         self, system: AnySystem, body: Any, slopes: Slopes, h: Any, weights: tuple[float, ...]

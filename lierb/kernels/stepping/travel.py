@@ -16,13 +16,15 @@ LEAST_OF_STEP = 1e-6  # least bound, a fraction of a step, so that the next step
 MOST_PARTS = 32  # largest number of parts of a step, each searched for events
 
 
-def longest_step(plan: AnyPlan, body: Any, state: State, moved: State, time: Any, h: Any) -> Any:
+def longest_step(
+    plan: AnyPlan, body: Any, state: State, moved: State, time: Any, h: Any, wanted: Any
+) -> Any:
     """Return the longest step from `state`, s, that does not pass over a region in which an element
     acts; None if no element bounds it.
 
-    moved : state that has the velocity: `state` before the step is tried, its end afterwards.
-    h : step that error control proposes, s. The bound is limited from below, relative to h and to
-        the rounding of time, so that a trajectory does not stall.
+    moved : `state` before the step is tried, its end afterwards.   h : length of the step, s.
+    wanted : step that error control proposes, s. The bound is limited from below, relative to it
+        and to the rounding of time, so that a trajectory does not stall.
     """
     if not (events_of(plan) or any(element.bounds_steps for element in plan.elements)):
         return None
@@ -31,10 +33,10 @@ def longest_step(plan: AnyPlan, body: Any, state: State, moved: State, time: Any
         body = body._replace(signals=body.signals._replace(states=state.states))
     start = system.motion(body, state, time)
     end = system.motion(body, moved, time, is_next=moved is not state)
-    least = maximum(LEAST_OF_STEP * h, 4.0 * LEAST_ULPS * EPS * absolute(time))
+    least = maximum(LEAST_OF_STEP * wanted, 4.0 * LEAST_ULPS * EPS * absolute(time))
     longest: Any = INF
     for watched, parts in ((False, 1.0), (True, float(MOST_PARTS))):
-        for rate, distance in system.travel(body, start, end, time, watched):
+        for rate, distance in system.travel(body, start, end, time, h, watched):
             if not is_zero(rate):
                 moves = rate > 0.0
                 bound = maximum(parts * distance / where(moves, rate, 1.0), least)
@@ -49,7 +51,7 @@ def parts_to_watch(plan: AnyPlan, body: Any, state: State, moved: State, trial: 
     end = system.motion(body, moved, trial.start, is_next=True)
     fastest: Any = 0.0 * trial.h
     for at in (start, end):
-        for rate, distance in system.travel(body, start, at, trial.start, watched=True):
+        for rate, distance in system.travel(body, start, at, trial.start, trial.h, watched=True):
             if not is_zero(rate):
                 fastest = maximum(fastest, rate / distance)
     return minimum(floor(trial.h * fastest) + 1.0, float(MOST_PARTS))

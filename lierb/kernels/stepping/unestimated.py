@@ -23,6 +23,9 @@ class UnestimatedMethod:
     def defects(self, system: AnySystem, body: Any, slopes: Slopes, h: Any) -> tuple[Defect, ...]:
         return ()
 
+    def extrapolated(self, system: AnySystem, state: State, slopes: Slopes, h: Any) -> State:
+        return state
+
     def extended(
         self, system: AnySystem, body: Any, state: State, at: Interval, slopes: Slopes
     ) -> Slopes:

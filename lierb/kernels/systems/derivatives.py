@@ -46,7 +46,7 @@ def seeded(plan: AnyPlan, columns: Columns, numbers: list[Any]) -> list[Any]:
 
     numbers : inputs, then their seeds.
     """
-    if not plan.moving:
+    if not plan.moving or plan.is_looped:  # a looped plan reads them itself
         return numbers
     own, seeds = numbers[: columns["seeds"].start], iter(numbers[columns["seeds"]])
     for field, part in columns:

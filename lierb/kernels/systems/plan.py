@@ -13,9 +13,11 @@ from lierb.kernels.mechanics.newton_euler import CSPACES, SE3, SO3xR3
 from lierb.kernels.mechanics.rows import Row, Rows
 from lierb.kernels.mechanics.tree import GROUND, Connection, Node
 from lierb.kernels.mechanics.tree_nodes import JointKind, Kind
+from lierb.kernels.systems.layout import DIRECTIONS
 from lierb.kernels.systems.scheme import ExplicitScheme, Scheme, StagedScheme
 
 UPDATES = ("local", "global", "ambient")
+EVERYTHING = ("inputs",)  # `moving` of looped code, in which all inputs have derivatives
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,6 +53,11 @@ class AnyPlan(Tag):
             """Rows of all joints."""
 
     is_looped: ClassVar[bool] = False  # True if the size of the system is known at run time only
+
+    @property
+    def directions(self) -> int:
+        """Number of derivatives that a run carries."""
+        return DIRECTIONS if self.moving else 0
 
     @property
     def code(self) -> AnyPlan:
@@ -193,7 +200,7 @@ class LoopPlan(AnyPlan):
 
     `lierb.kernels.systems.tree_table` describes the tree at run time.
 
-    elements : one of each kind that acts, then all passive ones.
+    elements : one of each kind that acts, then all listed ones; see `Element.is_listed`.
     listed_kinds : kinds of the elements that the code has one by one; see `MechanismPlan.listed`.
     """
 
@@ -242,10 +249,12 @@ class MechanismPlan(AnyPlan):
         if not self.is_in_memory:
             return self
         common = {field.name: getattr(self, field.name) for field in fields(AnyPlan)}
+        common["moving"] = EVERYTHING if self.moving else ()
         kinds = tuple(dict.fromkeys(self.element_kinds))
         acting = tuple(k for k in kinds if not k.element.is_passive)
-        passive = (element for element in self.elements if element.is_passive)
-        common["elements"] = (*dict.fromkeys(kind.element for kind in acting), *passive)
+        looped = (kind.element for kind in acting if not kind.element.is_listed)
+        listed = (element for element in self.elements if element.is_listed)
+        common["elements"] = (*dict.fromkeys(looped), *listed)
         constraints = {kind for _, kind in self.constraints} | {*self.usual_constraints}
         return LoopPlan(
             **common,
@@ -268,11 +277,11 @@ class MechanismPlan(AnyPlan):
 
     @cached_property
     def listed(self) -> tuple[int, ...]:
-        """Indices of elements that looped code lists one by one: passive ones, then those that
-        may jump.
+        """Indices of elements that looped code lists one by one: `Element.is_listed`, then those
+        that may jump.
         """
-        passive = [k for k, e in enumerate(self.elements) if e.is_passive]
-        return (*passive, *(k for k, e in enumerate(self.elements) if e.discontinuities))
+        listed = [k for k, e in enumerate(self.elements) if e.is_listed]
+        return (*listed, *(k for k, e in enumerate(self.elements) if e.discontinuities))
 
     @cached_property
     def constraints(self) -> tuple[tuple[int, ConstraintKind], ...]:

@@ -116,11 +116,11 @@ class PassiveElements:
     felt: Callable[..., Callable[[int], Vec]]  # `Motion.felt` by element index
 
     def travel(
-        self, body: Any, start: Any, end: Any, time: Any, watched: bool
+        self, body: Any, start: Any, end: Any, time: Any, h: Any, watched: bool
     ) -> tuple[Bound, ...]:
         """Bounds on a step's length; if `watched`, on the length of parts searched for events.
 
-        start, end : motions at the ends of the step.
+        start, end : motions at the ends of a step, of length h, s.
         """
         size = sqrt(body.girth)
         before, after = (self.motions(body, motion, time) for motion in (start, end))
@@ -129,7 +129,7 @@ class PassiveElements:
             bound
             for i, (e, own) in pairs
             if (isinstance(e, UserEvent) if watched else e.bounds_steps)
-            for bound in e.travel(own, before(i), after(i), size)
+            for bound in e.travel(own, before(i), after(i), h, size)
         )
 
     def jumps(self, body: Any) -> tuple[Any, ...]:

@@ -14,6 +14,7 @@ from lierb.kernels.systems.plan import AnyPlan, LoopPlan, MechanismPlan, Plan
 from lierb.kernels.systems.system import AnySystem, System
 from lierb.kernels.systems.tree_loop import TreeLoop
 from lierb.kernels.systems.tree_system import TreeFormulation
+from lierb.kernels.systems.tree_table import joint_kind_of
 from lierb.kernels.tracing.cpu import DEFAULT_LANES
 
 
@@ -71,6 +72,11 @@ def plan_of(width: int, **described: Any) -> Plan:
 def plan_with_derivatives(plan: AnyPlan, moving: tuple[str, ...]) -> AnyPlan:
     """Return the plan of the same run, with derivatives of these fields of the inputs.
 
-    It takes one pack: dual numbers fill the registers.
+    It takes one pack: dual numbers fill the registers. Looped code has no kinds of joints beside
+    those of the mechanism: each takes a second of compiling or more.
     """
+    if isinstance(plan, MechanismPlan) and plan.is_in_memory:
+        own = {joint_kind_of(plan, i) for i in range(len(plan.tree))}
+        kinds = tuple(kind for kind in plan.joint_kinds if kind in own)
+        plan = replace(plan, joint_kinds=kinds, usual_constraints=())
     return replace(plan, moving=moving, lanes=min(plan.lanes, DEFAULT_LANES))

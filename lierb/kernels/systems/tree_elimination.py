@@ -17,6 +17,7 @@ from lierb.kernels.mechanics.saddle import (
     is_other_rank,
 )
 from lierb.kernels.numbers.arithmetic import absolute, any_lanes, branch, fma, maximum, sqrt, where
+from lierb.kernels.numbers.dual import value_of
 from lierb.kernels.systems import tree_places as at
 from lierb.kernels.systems.tree_memory import MemoryTree
 from lierb.kernels.tracing.arrays import Index
@@ -53,7 +54,7 @@ def settle(tree: MemoryTree, run: Run, dropped: Lane, forced: Any, violation: An
     dropped : number of dependent rows at the start.   forced : function that returns the bound on
     accelerations by loads and motion.   violation : function that returns the residual δ.
     """
-    sums = tree.section(at.SUMS_ROW)
+    sums = tree.values.section(at.SUMS_ROW)
     like = 0.0 * dropped
     count = sums[at.DEPENDENT]
     sums.put(at.SINGULAR, 0.0)
@@ -86,7 +87,7 @@ def settle(tree: MemoryTree, run: Run, dropped: Lane, forced: Any, violation: An
 
 
 def _eliminate(tree: MemoryTree, tolerance: Lane, into: Index) -> None:
-    sums = tree.section(at.SUMS_ROW)
+    sums = tree.values.section(at.SUMS_ROW)
     sums.put(at.DEPENDENT, 0.0)
     inverse, reduced = tree.vector(at.INVERSE), tree.vector(at.REDUCED)
     for_each(tree[at.EQUATIONS], lambda i: _eliminate_row(MemoryEquation(tree, i), tolerance))
@@ -135,14 +136,15 @@ def _eliminate_row(own: MemoryEquation, tolerance: Lane) -> None:
     # False for NaN, whose row is kept.
     is_dependent = pivot <= tolerance * (schur[i] + tree.vector(at.MOBILITY)[i])
     inverse.put(i, where(is_dependent, 0.0, 1.0) / where(is_dependent, 1.0, pivot))
-    mark = where(is_dependent, 1.0, 0.0 * pivot)
+    mark = where(is_dependent, 1.0, 0.0 * value_of(pivot))
     tree.vector(at.IS_DEPENDENT).put(i, mark)
-    sums = tree.section(at.SUMS_ROW)
+    sums = tree.values.section(at.SUMS_ROW)
     sums.put(at.DEPENDENT, sums[at.DEPENDENT] + mark)
 
 
 def _contradicts(tree: MemoryTree, forced: Any, tolerance: Any) -> Lane:
     """Return 1 where a row that is left out contradicts the others, else 0."""
+    tree = tree.values
     marks, reduced = tree.vector(at.IS_DEPENDENT), tree.vector(at.REDUCED)
     mobility = tree.vector(at.MOBILITY)
 

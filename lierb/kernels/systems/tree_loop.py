@@ -9,6 +9,7 @@ if they are.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 from lierb.kernels.mechanics import tree_nodes
@@ -17,11 +18,12 @@ from lierb.kernels.numbers.arithmetic import flatten, scatter, sqrt, store, wher
 from lierb.kernels.numbers.zero import is_zero
 from lierb.kernels.systems import tree_places as at
 from lierb.kernels.systems.combine import NAN
+from lierb.kernels.systems.derivatives import moved_in_body, parts_side_by_side
 from lierb.kernels.systems.layout import POSE_AND_TWIST
 from lierb.kernels.systems.measures import JOINT_ERRORS, JOINT_KEPT
 from lierb.kernels.systems.state import State
 from lierb.kernels.systems.tree_loop_forces import LoopForces
-from lierb.kernels.systems.tree_memory import LoopBody, MemoryNode
+from lierb.kernels.systems.tree_memory import LoopBody, MemoryNode, MemoryTree
 from lierb.kernels.tracing.arrays import Index
 from lierb.kernels.tracing.memory import for_each
 
@@ -36,7 +38,7 @@ class TreeLoop(LoopForces):
 
         Return the column behind them.
         """
-        tree, count = self._tree(body), len(JOINT_ERRORS)
+        tree, count = self._tree(body).values, len(JOINT_ERRORS)
 
         def one(link: Index) -> None:
             squares = tree.of_link(at.ERRORS_ROW, link, count)[0:count]
@@ -50,7 +52,7 @@ class TreeLoop(LoopForces):
 
     def store_kept(self, body: LoopBody, summary: Any, first: int, column: Any) -> None:
         """Store JOINT_KEPT of every joint in a summary, from column `first` on."""
-        tree, count = self._tree(body), len(JOINT_KEPT)
+        tree, count = self._tree(body).values, len(JOINT_KEPT)
 
         def one(link: Index) -> None:
             kept = tree.of_link(at.KEPT_ROW, link, count)[0:count]
@@ -63,7 +65,7 @@ class TreeLoop(LoopForces):
         self, body: LoopBody, states: tuple[Any, ...], row: Any, rows: Any, column: Any, alive: Any
     ) -> None:
         """Store R, r, ω and v of every link in the user's frames; NaN where not alive."""
-        tree = self._tree(body)
+        tree = self._tree(body).values
         self._see(tree, is_next=False)
 
         def link(node: MemoryNode) -> None:
@@ -80,7 +82,7 @@ class TreeLoop(LoopForces):
         """Store the numbers of `store_links` in the rows of a lane's workspace; return the row
         behind them.
         """
-        tree, width = self._tree(body), POSE_AND_TWIST.count
+        tree, width = self._tree(body).values, POSE_AND_TWIST.count
         self._see(tree, is_next=False)
 
         def link(node: MemoryNode) -> None:
@@ -91,6 +93,53 @@ class TreeLoop(LoopForces):
 
         tree.for_links(link)
         return tree[at.LINKS] * width
+
+    def store_derivatives(
+        self,
+        body: LoopBody,
+        state: State,
+        array: Any,
+        place: tuple[Any, ...],
+        time: Any,
+        alive: Any,
+    ) -> None:
+        """Store the derivatives of `lierb.kernels.systems.derivatives.derivative_columns`; NaN
+        where not alive.
+
+        array : [column, direction][place].
+        """
+        tree, directions = self._tree(body), self.plan.directions
+
+        def put(first: Index, parts: Sequence[Any]) -> None:
+            shown = [where(alive, x, NAN) for x in parts]
+            places = [(first + c, *place) for c in range(len(shown))]
+            if shown:
+                scatter(array, len(place), places, shown, self.plan.lanes)
+
+        def put_at(column: Index, numbers: Any) -> None:
+            put(column * directions, parts_side_by_side(numbers, directions))
+
+        seen = self.motion(body, state, time)
+
+        def link(node: MemoryNode) -> None:
+            numbers = tree_nodes.in_user_frame(node.details, node.motion)
+            first = node.entry(at.LINK) * (12 * directions)
+            put(first, moved_in_body(numbers, directions))
+
+        tree.for_links(link)
+        column = tree[at.LINKS] * 12
+        energy = self.measured(body, state, seen, time).values["energy"]
+        scalars = (*state.states, energy, *self.observed(body, seen, time))
+        put_at(column, scalars)
+        column = column + len(scalars)
+        rows = tree[at.ROWS] * int(self.plan.multipliers)
+        if self.plan.multipliers or self.plan.reaction:
+            self.put_forces(
+                body,
+                time,
+                lambda number, numbers: put_at(column + number, numbers),
+                lambda joint, wrench: put_at(column + rows + joint * 6, wrench),
+            )
 
     def store_end(self, body: LoopBody, state: State, ends: Any, column: Any) -> None:
         """Store the state for a run that continues: charts, V_rel, extra states."""
@@ -126,12 +175,14 @@ class TreeLoop(LoopForces):
     def store_state(self, body: LoopBody, carried: Any, first: int, column: Any) -> None:
         """Store charts, velocities and JOINT_KEPT between two calls, from row `first` on."""
         tree, lanes = self._tree(body), self.plan.lanes
-        rows = tree.section(at.CHART_ROW)
-        for_each(tree[at.STATE_ROWS], lambda i: carried.store((i + first, column), rows[i], lanes))
+        packs, count = tree.packs(tree[at.CHART_ROW]), self._carried(tree)
+        for_each(count, lambda i: carried.store((i + first, column), packs[i], lanes))
 
     def load_state(self, body: LoopBody, carried: Any, first: int, column: Any) -> None:
         tree, lanes = self._tree(body), self.plan.lanes
-        rows = tree.section(at.CHART_ROW)
-        for_each(
-            tree[at.STATE_ROWS], lambda i: rows.put(i, carried.load((i + first, column), lanes))
-        )
+        packs, count = tree.packs(tree[at.CHART_ROW]), self._carried(tree)
+        for_each(count, lambda i: packs.put(i, carried.load((i + first, column), lanes)))
+
+    def _carried(self, tree: MemoryTree) -> Index:
+        """Return the number of packs of a state and of JOINT_KEPT."""
+        return tree[at.STATE_ROWS] * (1 + self.plan.directions)

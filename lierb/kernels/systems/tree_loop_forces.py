@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 from lierb.kernels.mechanics import tree_nodes
@@ -29,15 +30,32 @@ class LoopForces(LoopMeasures):
 
         multipliers, reactions : result arrays.   place : row, rows and column in them.
         """
-        tree = self._tree(body)
-        self._stay(tree)
-        self._call_rates(body, self._spare(tree), time)
-        self._store_wrenches(tree, time)
+        zero = self._tree(body).index(0)
 
         def put(array: Any, first: Any, column: Any, numbers: Vec) -> None:
             shown = [where(alive, x, NAN) for x in numbers]
             places = [(first, place.column, column + c) for c in range(len(shown))]
             scatter(array, 1, places, shown, self.plan.lanes)
+
+        self.put_forces(
+            body,
+            time,
+            lambda column, numbers: put(multipliers, place.row, column, numbers),
+            lambda joint, wrench: put(reactions, joint * place.rows + place.row, zero, wrench),
+        )
+
+    def put_forces(
+        self,
+        body: LoopBody,
+        time: Any,
+        put_multipliers_at: Callable[[Index, Vec], None],
+        put_reaction: Callable[[Index, Vec], None],
+    ) -> None:
+        """Call functions of a column and its λ, and of a joint and its wrench, if recorded."""
+        tree = self._tree(body)
+        self._stay(tree)
+        self._call_rates(body, self._spare(tree), time)
+        self._store_wrenches(tree, time)
 
         def put_multipliers(node: MemoryNode) -> None:
             wrench = node.part(at.WRENCH_ROW, 6)[0:6]
@@ -49,7 +67,7 @@ class LoopForces(LoopMeasures):
                 ends = Ends(HERE, HERE, joint.kind.pitch(node.constants))
                 found = multipliers_of_wrench(joint.rows, x, ends, wrench)
                 numbers = tuple(found[row] for row in joint.rows)
-                put(multipliers, place.row, node.entry(at.MULTIPLIER), numbers)
+                put_multipliers_at(node.entry(at.MULTIPLIER), numbers)
 
             node.each_joint(do)
 
@@ -57,7 +75,7 @@ class LoopForces(LoopMeasures):
             solution, first = constraint.vector(at.MULTIPLIERS), constraint.entry(at.LAMBDA)
             for_each(
                 constraint.entry(at.HOLDS),
-                lambda i: put(multipliers, place.row, first + i, (solution[i],)),
+                lambda i: put_multipliers_at(first + i, (solution[i],)),
             )
 
         if self.plan.multipliers:
@@ -66,14 +84,13 @@ class LoopForces(LoopMeasures):
         if self.plan.reaction:
             tree.for_constraints(lambda constraint: _add_reaction(constraint, time))
 
-            def put_reaction(joint: Index, wrench: Index) -> None:
-                first = joint * place.rows + place.row
-                put(reactions, first, tree.index(0), tree.rows(wrench)[0:6])
+            def put_wrench(joint: Index, wrench: Index) -> None:
+                put_reaction(joint, tree.rows(wrench)[0:6])
 
             wrenches, count = tree[at.WRENCH_ROW], tree[at.LINKS]
-            tree.for_links(lambda n: put_reaction(n.entry(at.LINK), wrenches + n.i * 6))
+            tree.for_links(lambda n: put_wrench(n.entry(at.LINK), wrenches + n.i * 6))
             loops = wrenches + tree[at.NODES] * 6 + 6
-            for_each(tree[at.JOINTS] - count, lambda i: put_reaction(count + i, loops + i * 6))
+            for_each(tree[at.JOINTS] - count, lambda i: put_wrench(count + i, loops + i * 6))
 
     def _store_wrenches(self, tree: MemoryTree, time: Any) -> None:
         """Store the wrench of every joint of the tree on its node, in the node's axes."""

@@ -35,7 +35,7 @@ class LoopMeasures(LoopProjection):
         tree = self._tree(body)
         self._stay(tree)
         self._run("rank", body, self._rank, self._spare(tree))
-        return tree.section(at.SUMS_ROW)[at.DEPENDENT]
+        return tree.values.section(at.SUMS_ROW)[at.DEPENDENT]
 
     def _rank(self, tree: MemoryTree, ahead: Index) -> None:
         """Count the rows that depend on others."""
@@ -117,7 +117,7 @@ class LoopMeasures(LoopProjection):
 
         now : mask of the lanes to update.
         """
-        tree = self._tree(body)
+        tree = self._tree(body).values
 
         def one(link: Index) -> None:
             errors = tree.of_link(at.ERRORS_ROW, link, len(JOINT_ERRORS))

@@ -30,10 +30,10 @@ INF = float("inf")
 class LoopMotion(NamedTuple):
     """Motion of a tree, that of whose nodes is in memory.
 
-    of_passive : relative motion of each passive element.   is_next : True for the next state.
+    of_listed : relative motion of each listed element.   is_next : True for the next state.
     """
 
-    of_passive: tuple[Motion, ...]
+    of_listed: tuple[Motion, ...]
     is_next: bool = False
 
 
@@ -85,15 +85,15 @@ class LoopMotions(LoopRows):
         """Store the motion of the nodes at the state or the next one; return that of elements."""
         tree = self._tree(body)
         self._see(tree, is_next)
-        return LoopMotion(self._of_passive(body), is_next)
+        return LoopMotion(self._of_listed(body), is_next)
 
     def _see(self, tree: MemoryTree, is_next: bool) -> None:
         """Store the motion of the nodes at the state or the next one."""
         self._stay(tree, is_next)
         self._call_place(tree, self._spare(tree), is_whole=True, of_next=is_next)
 
-    def _of_passive(self, body: LoopBody) -> tuple[Motion, ...]:
-        """Return the motions of the plan's passive elements, from those of the nodes in memory."""
+    def _of_listed(self, body: LoopBody) -> tuple[Motion, ...]:
+        """Return the motions of the plan's listed elements, from those of the nodes in memory."""
         tree, motions = self._tree(body), []
         for k, frames in enumerate(body.frames):
             (inner, outer), at_ends = frames or (HERE, HERE), tree.listed(k)
@@ -102,28 +102,28 @@ class LoopMotions(LoopRows):
         return tuple(motions)
 
     def motions(self, body: LoopBody, motion: LoopMotion, time: Any) -> Callable[[int], Motion]:
-        first = len(self.plan.elements) - len(motion.of_passive)
-        return lambda i: motion.of_passive[i - first]._replace(time=time, signals=body.signals)
+        first = len(self.plan.elements) - len(motion.of_listed)
+        return lambda i: motion.of_listed[i - first]._replace(time=time, signals=body.signals)
 
     def jumps(self, body: LoopBody) -> tuple[Any, ...]:
         """Times at which elements may jump, s."""
         return body.jumps
 
     def travel(
-        self, body: LoopBody, start: LoopMotion, end: LoopMotion, time: Any, watched: bool
+        self, body: LoopBody, start: LoopMotion, end: LoopMotion, time: Any, h: Any, watched: bool
     ) -> tuple[Bound, ...]:
         """Bounds on a step's length; see `PassiveElements.travel`.
 
         Those of all elements that act are one bound.
         """
-        passive = [e for e in self.plan.elements if e.is_passive]
-        first, size = len(self.plan.elements) - len(passive), sqrt(body.girth)
+        listed = [e for e in self.plan.elements if e.is_listed]
+        first, size = len(self.plan.elements) - len(listed), sqrt(body.girth)
         before, after = (self.motions(body, motion, time) for motion in (start, end))
         bounds = tuple(
             bound
-            for i, e in enumerate(passive, first)
+            for i, e in enumerate(listed, first)
             if (isinstance(e, UserEvent) if watched else e.bounds_steps)
-            for bound in e.travel(body.elements[i], before(i), after(i), size)
+            for bound in e.travel(body.elements[i], before(i), after(i), h, size)
         )
         if watched or not any(kind.element.bounds_steps for kind in self.plan.element_kinds):
             return bounds
@@ -134,7 +134,7 @@ class LoopMotions(LoopRows):
         if steps[0] is not steps[1]:
             tree.for_elements(_keep_motion)
             self._see(tree, steps[1])
-        tree.for_elements(partial(_bound, best, size, steps[0] is not steps[1]))
+        tree.for_elements(partial(_bound, best, h, size, steps[0] is not steps[1]))
         return (*bounds, Bound(1.0, best[0]))
 
 
@@ -157,7 +157,7 @@ def _keep_motion(element: MemoryElement) -> None:
     element.each_kind(partial(_bounding, do))
 
 
-def _bound(best: Rows, size: Any, is_kept: bool, element: MemoryElement) -> None:
+def _bound(best: Rows, h: Any, size: Any, is_kept: bool, element: MemoryElement) -> None:
     """Lower the longest step by an element's bounds.   is_kept : whether its start is stored."""
 
     def do(kind: ElementKind) -> None:
@@ -166,7 +166,7 @@ def _bound(best: Rows, size: Any, is_kept: bool, element: MemoryElement) -> None
         if is_kept:
             rows = _kept_motion(element)
             start = Motion(ZERO, rows[0:9], rows[9:12], rows[12:15], rows[15:18])
-        for rate, distance in kind.element.travel(placed, start, end, size):
+        for rate, distance in kind.element.travel(placed, start, end, h, size):
             if not is_zero(rate):
                 longest = where(rate > 0.0, distance / where(rate > 0.0, rate, 1.0), INF)
                 best.put(0, minimum(best[0], longest))

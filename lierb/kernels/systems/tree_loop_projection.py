@@ -39,7 +39,7 @@ class LoopProjection(LoopSteps):
             return Stabilised(state)
         tree = self._tree(body)
         self._run("project", body, self._project, time, h, *self._scales(body)[:2])
-        sums = tree.section(at.SUMS_ROW)
+        sums = tree.values.section(at.SUMS_ROW)
         kept, mark = state._replace(v_or_mu=(sums[at.TOTAL],)), sums[at.SINGULAR]
         if not self.plan.has_lane_clocks:
             return Stabilised(kept, mark)
@@ -47,7 +47,8 @@ class LoopProjection(LoopSteps):
 
     def _project(self, tree: MemoryTree, time: Any, h: Lane, dropped: Lane, length: Lane) -> None:
         """Move pose and velocity of the next state; store the total, the mark and the squares."""
-        sums, correction = tree.section(at.SUMS_ROW), tree.rows(self._correction(tree))
+        seen, correction = tree.values, tree.rows(self._correction(tree))
+        sums = seen.section(at.SUMS_ROW)
         way, mark = self._project_pose(tree, time, dropped, length)
         now = self._size(tree, tree[at.V_ROW] + tree[at.AHEAD], length)
         speed = sqrt(maximum(now, sums[at.SPEED]))
@@ -62,15 +63,16 @@ class LoopProjection(LoopSteps):
         velocity = tree.rows(tree[at.V_ROW] + tree[at.AHEAD])
         count = tree[at.FREEDOMS]
         for_each(count, lambda i: velocity.put(i, velocity[i] + correction[i]))
-        numbers = tree.rows(tree[at.CHART_ROW] + tree[at.AHEAD])
+        numbers = seen.rows(tree[at.CHART_ROW] + tree[at.AHEAD])
         (total,) = accumulated(tree[at.STATE], (sums.zero,), lambda i, x: (x[0] + numbers[i],))
         sums.put(at.SINGULAR, mark)
         sums.put(at.TOTAL, total)
         if self.plan.has_lane_clocks:
-            x, v, off = (tree.section(name) for name in (at.X_ROW, at.STAGE_ROW, at.OFF_ROW))
+            x, v, off = (seen.section(name) for name in (at.X_ROW, at.STAGE_ROW, at.OFF_ROW))
+            moved = seen.rows(self._correction(tree))
             for_each(count, lambda i: x.put(i, off[i]))
-            for_each(count, lambda i: v.put(i, correction[i]))
-            self._run("squares", tree, self._squares)
+            for_each(count, lambda i: v.put(i, moved[i]))
+            self._run("squares", seen, self._squares)
 
     def _project_pose(
         self, tree: MemoryTree, time: Any, dropped: Lane, length: Lane

@@ -16,6 +16,7 @@ from lierb.kernels.mechanics.saddle import PIVOT_TOLERANCE
 from lierb.kernels.mechanics.tree_connections import Connected, Path, square_of
 from lierb.kernels.mechanics.tree_nodes import Kind, action_of, easy_of
 from lierb.kernels.numbers.arithmetic import fma, minimum, sqrt, where
+from lierb.kernels.numbers.dual import value_of
 from lierb.kernels.numbers.vec import Vec, add, dot, norm, scale
 from lierb.kernels.numbers.zero import ZERO, is_zero
 from lierb.kernels.systems import tree_places as at
@@ -38,7 +39,8 @@ class LoopRows(LoopStart):
         """Numbers of a trajectory for `_constrain`; none without constraints."""
         if not self.plan.constraint_kinds:
             return ()
-        return 0.0 * body.mass + body.dropped, body.length, body.heavy
+        zero, length, heavy = map(value_of, (0.0 * body.mass, body.length, body.heavy))
+        return zero + body.dropped, length, heavy
 
     @property
     def _scaled(self) -> int:
@@ -94,7 +96,8 @@ class LoopRows(LoopStart):
     def _factor(self, tree: MemoryTree) -> None:
         """Store J M⁻¹ Jᵀ, its factors, and λ without the rows that depend on others."""
         self._run("assemble", tree, self._assemble)
-        eliminate(tree, self._run, tree.rows(0).zero + PIVOT_TOLERANCE, at.MULTIPLIERS)
+        tolerance = tree.values.rows(0).zero + PIVOT_TOLERANCE
+        eliminate(tree, self._run, tolerance, at.MULTIPLIERS)
 
     def _excess(self, connected: Connected, r: Row, loads: tuple[Vec, Vec]) -> Any:
         """J V̇ − η, with Baumgarte's terms."""
@@ -215,6 +218,7 @@ class LoopRows(LoopStart):
 
         heavy : None for accelerations by the motion alone.
         """
+        tree = tree.values
         sums, gravity = tree.section(at.SUMS_ROW), tree.ground.constants[0:3]
         sums.put(0, 0.0 if heavy is None else norm(gravity) * heavy * tree[at.ROOTS].real())
 
@@ -238,6 +242,7 @@ class LoopRows(LoopStart):
 
     def _violation(self, tree: MemoryTree, time: Any, length: Lane) -> Any:
         """Residual δ of pose and velocity, relative to the mechanism's length and speed."""
+        tree = tree.values
         sums = tree.section(at.SUMS_ROW)
         pose, speed = self._open(tree, time, length), self._size(tree, tree[at.STAGE_ROW], length)
         sums.put(0, 0.0)
@@ -253,6 +258,7 @@ class LoopRows(LoopStart):
 
     def _open(self, tree: MemoryTree, time: Any, length: Lane) -> Lane:
         """Sum of the squares of all residuals, with lengths relative to the mechanism's."""
+        tree = tree.values
         sums, inverse = tree.section(at.SUMS_ROW), 1.0 / length
         sums.put(0, 0.0)
 
@@ -270,6 +276,7 @@ class LoopRows(LoopStart):
 
         first : row of the first of its numbers, one for each freedom.
         """
+        tree = tree.values
         sums = tree.section(at.SUMS_ROW)
         sums.put(0, 0.0)
 

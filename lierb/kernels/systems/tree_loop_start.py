@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import partial
+from itertools import islice
 from math import prod
 from typing import Any
 
@@ -14,6 +15,7 @@ from lierb.kernels.mechanics.spatial import Pose, Rigid, twist_at
 from lierb.kernels.mechanics.tree import FREE, GROUND, HERE, Node, NodeConstants
 from lierb.kernels.mechanics.tree_nodes import MOTION, JointKind, Kind
 from lierb.kernels.numbers.arithmetic import flatten, load, sqrt, where
+from lierb.kernels.numbers.dual import Dual
 from lierb.kernels.numbers.vec import IDENTITY, ZERO3, ZERO6, ZERO9, Vec, norm, sub
 from lierb.kernels.numbers.zero import ZERO, is_zero
 from lierb.kernels.systems import tree_places as at
@@ -69,15 +71,24 @@ class LoopStart(TreeInMemory):
         return State((), (), (v,), work if self.plan.does_work else ZERO, tuple(states))
 
     def _numbers(self, inputs: Any, first: Index, count: int) -> Vec:
-        """Numbers of some columns of the inputs."""
+        """Numbers of some columns of the inputs, without derivatives."""
         return tuple(load(inputs, (first + i, 0), self.plan.lanes) for i in range(count))
+
+    def _given(self, tree: MemoryTree, inputs: Any, first: Index, count: int) -> Vec:
+        """Numbers of some columns of the inputs."""
+        directions, numbers = tree.parts, self._numbers(inputs, first, count)
+        if not directions:
+            return numbers
+        seeds = tree[at.SEEDS_COLUMN] + first * directions
+        parts = iter(self._numbers(inputs, seeds, count * directions))
+        return tuple(Dual(x, tuple(islice(parts, directions))) for x in numbers)
 
     def loaded(self, inputs: Any, table: Any, memory: Any) -> LoopBody:
         """Load the constants of all nodes from the inputs into memory."""
         tree = MemoryTree(self.plan, table.address, memory.address)
         ground = tree.ground
 
-        numbers = partial(self._numbers, inputs)
+        numbers = partial(self._given, tree, inputs)
         gravity = numbers(tree[at.GRAVITY_COLUMN], 3)
         tree_nodes.set_ground(gravity, ground.motion, ground.details)
         ground.constants.put(0, *gravity)
@@ -121,20 +132,19 @@ class LoopStart(TreeInMemory):
         return body._replace(length=sums[0], heavy=sums[1])
 
     def _with_elements(self, tree: MemoryTree, body: LoopBody, numbers: Numbers) -> LoopBody:
-        """Return the constants with those of passive elements, and the times of jumps."""
+        """Return the constants with those of listed elements, and the times of jumps."""
         placed: list[Any] = []
         frames: list[tuple[Any, ...]] = []
         for k, kind in enumerate(self.plan.listed_kinds):
             inner, outer, found = _placed(tree.listed(k), kind, numbers)
             placed.append(found)
             frames.append((inner, outer) if kind.on_joint else ())
-        passive = [e for e in self.plan.elements if e.is_passive]
-        others: tuple[Any, ...] = ((),) * (len(self.plan.elements) - len(passive))
+        count = sum(e.is_listed for e in self.plan.elements)
+        others: tuple[Any, ...] = ((),) * (len(self.plan.elements) - count)
         jumping = zip(self.plan.listed_kinds, placed, strict=True)
         jumps = (time for kind, own in jumping for time in kind.element.jumps(own))
-        elements = (*others, *placed[: len(passive)])
         return body._replace(
-            elements=elements, frames=tuple(frames[: len(passive)]), jumps=tuple(jumps)
+            elements=(*others, *placed[:count]), frames=tuple(frames[:count]), jumps=tuple(jumps)
         )
 
     def _load_element(self, element: MemoryElement, numbers: Numbers) -> None:
@@ -169,7 +179,7 @@ class LoopStart(TreeInMemory):
 
         def given(node: MemoryNode) -> None:
             first = tree[at.START_COLUMN] + node.entry(at.LINK) * WIDTHS[2]
-            parts = Columns(*START).parts(self._numbers(inputs, first, WIDTHS[2]))
+            parts = Columns(*START).parts(self._given(tree, inputs, first, WIDTHS[2]))
             read = {f"0.{name}": part for name, part in parts.items()}
             frame = tree_nodes.frame_of(node.details)
             place, twist = given_start(frame, read, 0)
@@ -242,7 +252,7 @@ class LoopStart(TreeInMemory):
 
     def clear_errors(self, body: LoopBody, mask: Any) -> None:
         """Set JOINT_KEPT to 0 where the mask, 1 or 0, is 1."""
-        tree = self._tree(body)
+        tree = self._tree(body).values
         kept = tree.section(at.KEPT_ROW)
         count = tree[at.JOINTS] * len(JOINT_KEPT)
         for_each(count, lambda i: kept.put(i, where(mask > 0.5, 0.0, kept[i])))
@@ -251,7 +261,7 @@ class LoopStart(TreeInMemory):
         """Make the next state the state where the mask is 1."""
         tree = self._tree(body)
         now, after = self._states(tree)
-        for_each(tree[at.STATE], lambda i: now.put(i, where(mask > 0.5, after[i], now[i])))
+        for_each(self._packs(tree), lambda i: now.put(i, where(mask > 0.5, after[i], now[i])))
 
     def exchange(self, body: LoopBody) -> None:
         """Exchange the state and the next one."""
@@ -263,19 +273,25 @@ class LoopStart(TreeInMemory):
             now.put(i, second)
             after.put(i, first)
 
-        for_each(tree[at.STATE], one)
+        for_each(self._packs(tree), one)
 
     def copy_next(self, body: LoopBody, mask: Any, is_back: bool = False) -> None:
         """Copy the next state, or copy it back, where the mask is 1."""
         tree = self._tree(body)
         _, after = self._states(tree)
-        pair = after, tree.section(at.COPY_ROW)
+        pair = after, tree.packs(tree[at.COPY_ROW])
         source, target = reversed(pair) if is_back else pair
-        for_each(tree[at.STATE], lambda i: target.put(i, where(mask > 0.5, source[i], target[i])))
+        count = self._packs(tree)
+        for_each(count, lambda i: target.put(i, where(mask > 0.5, source[i], target[i])))
 
     def _states(self, tree: MemoryTree) -> tuple[Rows, Rows]:
+        """Return the packs of the state, and of the next one."""
         first = tree[at.CHART_ROW]
-        return tree.rows(first), tree.rows(first + tree[at.AHEAD])
+        return tree.packs(first), tree.packs(first + tree[at.AHEAD])
+
+    def _packs(self, tree: MemoryTree) -> Index:
+        """Return the number of packs of a state."""
+        return tree[at.STATE] * (1 + self.plan.directions)
 
 
 def _joint_of(connection: MemoryConnection, numbers: Numbers) -> dict[str, Vec]:

@@ -10,6 +10,7 @@ from lierb.kernels.mechanics import tree_nodes
 from lierb.kernels.mechanics.tree_connections import loads_of
 from lierb.kernels.mechanics.tree_nodes import PASSED, Kind
 from lierb.kernels.numbers.arithmetic import maximum, where
+from lierb.kernels.numbers.dual import value_of, values
 from lierb.kernels.numbers.vec import Vec, add, dot, scale, sub
 from lierb.kernels.numbers.zero import ZERO, is_zero
 from lierb.kernels.systems import tree_places as at
@@ -67,10 +68,10 @@ class LoopSteps(LoopMotions):
         tree = self._tree(body)
         body = body._replace(signals=body.signals._replace(states=state.states))
         self._call_rates(body, tree[at.FREEDOMS] * stage, time)
-        sums = tree.section(at.SUMS_ROW)
-        power = sums[at.POWER] if self.plan.does_work else ZERO
-        singular = sums[at.SINGULAR] if self.plan.constraint_kinds else ZERO
-        of_states = self.state_rates(body, LoopMotion(self._of_passive(body)), time)
+        power = tree.section(at.SUMS_ROW)[at.POWER] if self.plan.does_work else ZERO
+        is_constrained = bool(self.plan.constraint_kinds)
+        singular = tree.values.section(at.SUMS_ROW)[at.SINGULAR] if is_constrained else ZERO
+        of_states = self.state_rates(body, LoopMotion(self._of_listed(body)), time)
         return Rates((), (), power, singular, of_states)
 
     def _call_rates(self, body: LoopBody, ahead: Index, time: Any) -> None:
@@ -161,9 +162,9 @@ class LoopSteps(LoopMotions):
     def move(self, body: LoopBody, state: State) -> State:
         """Make the stage the state."""
         tree = self._tree(body)
-        total = tree.section(at.SUMS_ROW)
+        total = tree.values.section(at.SUMS_ROW)
         if self.projects:
-            total.put(at.SPEED, self._size(tree, tree[at.V_ROW], body.length))
+            total.put(at.SPEED, self._size(tree, tree[at.V_ROW], value_of(body.length)))
         total.put(0, 0.0)
 
         def one(node: MemoryNode) -> None:
@@ -175,7 +176,7 @@ class LoopSteps(LoopMotions):
                 node.next_v.put(0, *speeds)
                 chart = tree_nodes.moved(kind, constants, node.chart, x)
                 numbers = kind.store_chart(node.next_chart, chart)
-                total.put(0, sum((*numbers, *speeds), start=total[0]))
+                total.put(0, sum(values((*numbers, *speeds)), start=total[0]))
 
             node.each_kind(do)
 
@@ -184,7 +185,7 @@ class LoopSteps(LoopMotions):
 
     def silenced(self, body: LoopBody, v: Vec, alive: Any) -> Vec:
         """Store NaN in the velocities of the lanes that are not alive."""
-        tree = self._tree(body)
+        tree = self._tree(body).values
         rows = tree.section(at.V_ROW)
         for_each(tree[at.FREEDOMS], lambda i: rows.put(i, where(alive, rows[i], NAN)))
         return v

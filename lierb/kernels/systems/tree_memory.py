@@ -27,6 +27,7 @@ from lierb.kernels.mechanics.tree_connections import (
 )
 from lierb.kernels.mechanics.tree_nodes import CONSTANTS, DETAILS, MOTION, JointKind, Kind
 from lierb.kernels.numbers.arithmetic import flatten, refilled
+from lierb.kernels.numbers.dual import Dual, parts_of
 from lierb.kernels.numbers.vec import Vec, add
 from lierb.kernels.numbers.zero import ZERO, is_zero
 from lierb.kernels.systems import tree_places as at
@@ -52,8 +53,8 @@ class LoopBody(NamedTuple):
 
     mass : of the first link, as an example of the number type.
     dropped, signals, girth : see `TreeConstants`.   length : characteristic length, m.
-    heavy : sum of the roots of all masses, √kg.   elements : parameters of passive elements, behind
-    nothing for each other element of the plan.   frames : of each passive element at a joint, on
+    heavy : sum of the roots of all masses, √kg.   elements : parameters of listed elements, behind
+    nothing for each other element of the plan.   frames : of each listed element at a joint, on
     its two nodes; () for others.   jumps : times at which elements may jump, s.
     """
 
@@ -224,16 +225,31 @@ def frame_at(rows: Rows, first: int) -> Pose:
 
 
 class MemoryTree:
-    """A tree at run time: tree[name] is a number of the table's header."""
+    """A tree at run time: tree[name] is a number of the table's header.
 
-    def __init__(self, plan: LoopPlan, table: Index, memory: Index) -> None:
+    parts : derivatives of the numbers that are read and written.
+    """
+
+    def __init__(
+        self, plan: LoopPlan, table: Index, memory: Index, parts: int | None = None
+    ) -> None:
         self.plan, self.table, self.memory = plan, table, memory
+        self.parts = plan.directions if parts is None else parts
+
+    @property
+    def values(self) -> MemoryTree:
+        """The tree without derivatives."""
+        return MemoryTree(self.plan, self.table, self.memory, 0)
 
     def __getitem__(self, name: int) -> Index:
         return integer_at(self.table, name)
 
     def rows(self, first: Index | int) -> Rows:
-        return Rows(self.memory, self.plan.lanes, first)
+        return Rows(self.memory, self.plan.lanes, first, 1 + self.plan.directions, self.parts)
+
+    def packs(self, first: Index) -> Rows:
+        """Rows from `first` on, each pack of which is a row."""
+        return Rows(self.memory, self.plan.lanes, first * (1 + self.plan.directions))
 
     def section(self, name: int) -> Rows:
         return self.rows(self[name])
@@ -314,15 +330,25 @@ class TreeInMemory(PassiveElements):
         return self.plan.stabilisation.kind == "project" and bool(self.plan.constraint_kinds)
 
     def _tree(self, body: LoopBody) -> MemoryTree:
-        return MemoryTree(self.plan, body.table, body.memory)
+        """Return the tree, without derivatives for a body without them."""
+        return MemoryTree(self.plan, body.table, body.memory, len(parts_of(body.mass)))
 
     def _run(
         self, name: str, body: LoopBody | MemoryTree, do: Callable[..., None], *more: Any
     ) -> None:
-        """Call a procedure on the tree, whose code is emitted once, for packs and integers."""
-        more = tuple(x.widened(self.plan.lanes) if isinstance(x, Lane) else x for x in more)
+        """Call a procedure on the tree, whose code is emitted once, for numbers and integers."""
+        tree = body if isinstance(body, MemoryTree) else self._tree(body)
+        sizes = [len(parts_of(x)) for x in more]
 
         def formula(table: Index, memory: Index, *others: Any) -> None:
-            do(MemoryTree(self.plan, table, memory), *others)
+            do(MemoryTree(self.plan, table, memory, tree.parts), *others)
 
-        procedure(f"{__name__}.{name}.{self.plan.lanes}", formula, body.table, body.memory, *more)
+        name = ".".join(map(str, (__name__, name, self.plan.lanes, tree.parts, *sizes)))
+        procedure(name, formula, tree.table, tree.memory, *map(self._widened, more))
+
+    def _widened(self, x: Any) -> Any:
+        """Return an operand with all lanes."""
+        if isinstance(x, Dual):
+            value = self._widened(x.value)
+            return Dual(value, tuple(self._widened(0.0 * value + part) for part in x.parts))
+        return x.widened(self.plan.lanes) if isinstance(x, Lane) else x

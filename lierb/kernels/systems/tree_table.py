@@ -46,13 +46,16 @@ def table_of(plan: MechanismPlan) -> tuple[NDArray[np.int64], int]:
     numbers = [count, freedoms, plan.links, len(plan.joints)]
     header[[at.NODES, at.FREEDOMS, at.LINKS, at.JOINTS]] = numbers
     header[at.ROOTS] = sum(node.parent == GROUND for node in plan.tree)
+    header[at.ROWS] = len(plan.rows)
+    seeded = inputs.count * (1 + plan.directions)  # columns of inputs and their derivatives
+    header[at.SEEDS_COLUMN] = inputs.count
     names = {at.JOINT_COLUMN: "0.ground_frame", at.GRAVITY_COLUMN: "gravity"}
     for column, name in (names | {at.START_COLUMN: "0.pose"}).items():
         header[column] = inputs[name].start
     extra = size_of(states_of(plan))
     state = state_columns(count, extra)
     header[[at.CHART_COLUMN, at.V_COLUMN, at.STATES_COLUMN]] = [
-        inputs.count + state[name].start for name in ("charts", "v", "states")
+        seeded + state[name].start for name in ("charts", "v", "states")
     ]
     nodes = np.zeros((count + 1, at.TABLE), np.int64)
     slots, errors = _slots(plan, nodes), len(plan.joints)
@@ -77,7 +80,7 @@ def table_of(plan: MechanismPlan) -> tuple[NDArray[np.int64], int]:
     header[at.STATE] = charts + freedoms
     header[at.AHEAD] = header[at.AHEAD] - header[at.CHART_ROW] if plan.has_lane_clocks else 0
     header[at.END_COLUMNS] = sum(map(sum, map(_stored, kinds))) + extra
-    header[at.LANE_COLUMN] = inputs.count + state.count
+    header[at.LANE_COLUMN] = seeded + state.count
     header[at.STATE_ROWS] = charts + freedoms + sizes[at.KEPT_ROW]
     _fill_in(plan, joints, header, nodes)
     elements[:, at.ROW] += header[at.ELEMENT_ROWS]

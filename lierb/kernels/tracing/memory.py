@@ -8,12 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from copy import copy
+from itertools import islice
 from typing import Any
 
 from llvmlite import ir
 
 from lierb.compiler.internals import cgutils
 from lierb.kernels.numbers.arithmetic import plain
+from lierb.kernels.numbers.dual import Dual, parts_of, value_of
 from lierb.kernels.tracing.arrays import Index
 from lierb.kernels.tracing.lanes import DOUBLE, Lane, Trace, constant_of
 
@@ -24,18 +26,28 @@ class Rows:
     """The memory has rows, each a pack of `lanes` numbers.
 
     rows[i] is row i, and rows[i:j] a tuple of rows; both ends are constants of the trace.
+
+    packs : packs of a row: a number, and its derivatives if the memory has them.
+    parts : derivatives that are read and written, packs − 1, or 0 for the numbers alone.
     """
 
-    def __init__(self, memory: Index, lanes: int, first: Index | int = 0) -> None:
-        self.trace, self.lanes = memory.trace, lanes
+    def __init__(
+        self, memory: Index, lanes: int, first: Index | int = 0, packs: int = 1, parts: int = 0
+    ) -> None:
+        self.trace, self.lanes, self.packs, self.parts = memory.trace, lanes, packs, parts
         self.pack = ir.VectorType(DOUBLE, lanes) if lanes > 1 else DOUBLE
         self.align = min(8 * lanes, LINE)
         start = memory.builder.inttoptr(memory.value, self.pack.as_pointer())
         self.start = start if first == 0 else self._at(start, first)
 
-    def _at(self, start: ir.Value, row: Index | int) -> ir.Value:
-        offset = row.value if isinstance(row, Index) else ir.IntType(64)(row)
+    def _at(self, start: ir.Value, row: Index | int, part: int = 0) -> ir.Value:
+        place = row if self.packs == 1 else row * self.packs + part
+        offset = place.value if isinstance(place, Index) else ir.IntType(64)(place)
         return self.trace.builder.gep(start, [offset])
+
+    def _load(self, row: Index | int, part: int) -> Lane:
+        place = self._at(self.start, row, part)
+        return Lane(self.trace, self.trace.builder.load(place, align=self.align))
 
     def at(self, first: Index) -> Rows:
         """Rows from `first` on."""
@@ -46,22 +58,30 @@ class Rows:
     def __getitem__(self, row: Any) -> Any:
         if isinstance(row, slice):
             return tuple(self[i] for i in range(row.start, row.stop))
-        return Lane(
-            self.trace, self.trace.builder.load(self._at(self.start, row), align=self.align)
-        )
+        value, *parts = (self._load(row, part) for part in range(1 + self.parts))
+        return Dual(value, tuple(parts)) if parts else value
 
     @property
-    def zero(self) -> Lane:
+    def zero(self) -> Any:
         """A pack of zeros."""
-        return Lane(self.trace, constant_of(self.pack, 0.0))
+        zero = Lane(self.trace, constant_of(self.pack, 0.0))
+        return Dual(zero, (zero,) * self.parts) if self.parts else zero
 
     def put(self, row: Index | int, *numbers: Any) -> None:
         """Store numbers in successive rows."""
         for i, number in enumerate(numbers):
-            x = plain(number)
-            is_traced = isinstance(x, Lane)
-            value = x.widened(self.lanes).value if is_traced else constant_of(self.pack, x)
-            self.trace.builder.store(value, self._at(self.start, row + i), align=self.align)
+            members = _members(number, self.parts)[: 1 + self.parts]
+            for part, member in enumerate(members):
+                x = plain(member)
+                is_traced = isinstance(x, Lane)
+                value = x.widened(self.lanes).value if is_traced else constant_of(self.pack, x)
+                place = self._at(self.start, row + i, part)
+                self.trace.builder.store(value, place, align=self.align)
+
+
+def _members(number: Any, count: int) -> tuple[Any, ...]:
+    """Return the value and the parts of a number, `count` zeros if it has none."""
+    return value_of(number), *(parts_of(number) or (0.0,) * count)
 
 
 def integer_at(table: Index, place: Index | int) -> Index:
@@ -81,23 +101,31 @@ def for_each(count: Index, do: Callable[[Index], None], backward: bool = False) 
 
 def accumulated(
     count: Index,
-    start: Sequence[Lane],
-    step: Callable[[Index, tuple[Lane, ...]], Sequence[Lane]],
+    start: Sequence[Any],
+    step: Callable[[Index, tuple[Any, ...]], Sequence[Any]],
     backward: bool = False,
-) -> tuple[Lane, ...]:
-    """Emit a loop that replaces some packs by step(i, packs), for i = 0 … count − 1.
+) -> tuple[Any, ...]:
+    """Emit a loop that replaces some numbers by step(i, numbers), for i = 0 … count − 1.
 
-    The packs stay in registers.
+    The numbers, packs or dual numbers of packs, stay in registers.
     """
     builder = count.builder
-    slots = [cgutils.alloca_once(builder, x.value.type) for x in start]
+    sizes = [len(parts_of(x)) for x in start]
+    slots = [
+        [cgutils.alloca_once(builder, value_of(x).value.type) for _ in range(1 + size)]
+        for x, size in zip(start, sizes, strict=True)
+    ]
 
-    def keep(numbers: Sequence[Lane]) -> None:
-        for slot, x in zip(slots, numbers, strict=True):
-            builder.store(x.value, slot)
+    def keep(numbers: Sequence[Any]) -> None:
+        for places, size, x in zip(slots, sizes, numbers, strict=True):
+            for slot, member in zip(places, _members(x, size)[: 1 + size], strict=True):
+                is_traced = isinstance(member, Lane)
+                value = member.value if is_traced else constant_of(slot.type.pointee, member)
+                builder.store(value, slot)
 
-    def kept() -> tuple[Lane, ...]:
-        return tuple(Lane(count.trace, builder.load(slot)) for slot in slots)
+    def kept() -> tuple[Any, ...]:
+        loaded = ([Lane(count.trace, builder.load(slot)) for slot in places] for places in slots)
+        return tuple(Dual(x, tuple(parts)) if parts else x for x, *parts in loaded)
 
     keep(start)
     for_each(count, lambda i: keep(step(i, kept())), backward)
@@ -126,15 +154,17 @@ def if_not_zero(number: Index, do: Callable[[], None]) -> None:
         do()
 
 
-def procedure(name: str, formula: Callable[..., None], *operands: Index | Lane) -> None:
+def procedure(name: str, formula: Callable[..., None], *operands: Any) -> None:
     """Emit a call of formula(*operands), whose code the module has once.
 
     name : of the code, the same for the same formula and constants.
+    operands : integers, packs, and dual numbers of packs.
     """
-    trace = operands[0].trace
+    trace, sizes = operands[0].trace, [len(parts_of(x)) for x in operands]
+    members = [m for x, size in zip(operands, sizes, strict=True) for m in _members(x, size)]
     module = trace.builder.module
     if name not in module.globals:
-        types = [x.value.type for x in operands]
+        types = [x.value.type for x in members]
         function = ir.Function(module, ir.FunctionType(ir.VoidType(), types), name)
         function.linkage = "internal"
         function.attributes.alignstack = LINE
@@ -142,7 +172,9 @@ def procedure(name: str, formula: Callable[..., None], *operands: Index | Lane) 
             function.attributes.add(attribute)
         own = Trace(ir.IRBuilder(function.append_basic_block()), trace.target)
         own.rounds_twice = trace.rounds_twice
-        pairs = zip(operands, function.args, strict=True)
-        formula(*(type(x)(own, operand) for x, operand in pairs))
+        pairs = zip(members, function.args, strict=True)
+        given = iter([type(x)(own, operand) for x, operand in pairs])
+        whole = [(next(given), tuple(islice(given, size))) for size in sizes]
+        formula(*(Dual(x, parts) if parts else x for x, parts in whole))
         own.builder.ret_void()
-    trace.builder.call(module.globals[name], [x.value for x in operands])
+    trace.builder.call(module.globals[name], [x.value for x in members])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
 from contextlib import suppress
 from operator import attrgetter
 from os import PathLike, fspath
@@ -10,13 +11,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from xml.parsers import expat
 
+import numpy as np
+
 from lierb.errors import ArgumentError, brief
 from lierb.model.files import inertials, urdf
 from lierb.model.files.welded_bodies import WORLD
 from lierb.support.extras import remedy
+from lierb.support.representations import counted
 
 if TYPE_CHECKING:
-    from mujoco import MjModel, MjSpec
+    from mujoco import MjModel, MjsBody, MjSpec
 
 CONTACT = ("geom_contype", "geom_conaffinity")
 DISABLED = {  # by bit of mjtDisableBit, fields of the model to be set to zero
@@ -69,19 +73,36 @@ def compiled(path: Any, language: str, base: str | None) -> tuple[MjModel, list[
 
 
 def _with_base(spec: MjSpec, base: str | None) -> list[str]:
-    """Add free joints to the bodies on the ground, or remove them; return what was left out."""
+    """Add free joints to the bases, or remove those on the ground; return what was left out."""
     import mujoco
 
-    for body in spec.worldbody.bodies if base else ():
-        if base == "free" and not body.joints:
+    on_ground = list(spec.worldbody.bodies)
+    carrying = [body for body in on_ground if any(part.joints for part in _hanging_on(body))]
+    bases = carrying or [body for body in on_ground if any(map(_has_mass, _hanging_on(body)))]
+    for body in bases if base == "free" else ():
+        if not (body.joints or body.mocap):
             body.add_freejoint()
+    for body in on_ground if base else ():
         for joint in list(body.joints) if base == "fixed" else ():
             if joint.type == mujoco.mjtJoint.mjJNT_FREE:
                 spec.delete(joint)
     keys = list(spec.keys) if base else []  # their lengths are those of the file's coordinates
     for key in keys:
         spec.delete(key)
-    return [f"{len(keys)} keyframes"] if keys else []
+    return [counted(len(keys), "keyframe")] if keys else []
+
+
+def _hanging_on(body: MjsBody) -> Iterator[MjsBody]:
+    """Yield a body and all bodies whose way to the ground leads over it."""
+    yield body
+    for child in body.bodies:
+        yield from _hanging_on(child)
+
+
+def _has_mass(body: MjsBody) -> bool:
+    """Return whether a body of a specification has an inertial with a mass, or geoms with one."""
+    of_geoms = (geom.density if np.isnan(geom.mass) else geom.mass for geom in body.geoms)
+    return bool(body.mass) if body.explicitinertial else any(of_geoms)
 
 
 def _elements_at_line(path: Any, message: str) -> str:

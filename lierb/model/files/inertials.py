@@ -92,13 +92,17 @@ def _adopt(spec: MjSpec) -> bool:
     """Convert the inertias of geoms to inertials; return False if the release cannot."""
     from mujoco import mjtInertiaFromGeom
 
-    is_automatic = spec.compiler.inertiafromgeom == mjtInertiaFromGeom.mjINERTIAFROMGEOM_AUTO
-    if not (is_automatic and hasattr(spec, "adopt_inertial")):
+    kind, with_geoms = spec.compiler.inertiafromgeom, [b for b in spec.bodies[1:] if b.geoms]
+    is_given = any(body.explicitinertial for body in with_geoms)  # and not overridden by `adopt`
+    is_automatic = kind == mjtInertiaFromGeom.mjINERTIAFROMGEOM_AUTO
+    is_of_geoms = kind == mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE and not is_given
+    if not ((is_automatic or is_of_geoms) and hasattr(spec, "adopt_inertial")):
         return False
+    spec.compiler.inertiafromgeom = mjtInertiaFromGeom.mjINERTIAFROMGEOM_AUTO
     for geom in spec.geoms:  # MuJoCo skips geoms below mjMINVAL
         geom.mass, geom.density = geom.mass * HEAVIER, geom.density * HEAVIER
-    for body in spec.bodies[1:]:
-        if body.geoms and not body.explicitinertial:
+    for body in with_geoms:
+        if not body.explicitinertial:
             spec.adopt_inertial(body)
             body.mass, body.inertia = body.mass / HEAVIER, body.inertia / HEAVIER
     return True

@@ -6,7 +6,6 @@ reports errors in files. Simulation of the mechanism does not use MuJoCo.
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterator
 from os import fspath
 from typing import TYPE_CHECKING, Any
@@ -32,6 +31,7 @@ from lierb.model.files.welded_bodies import (
 )
 from lierb.model.joints.joint import Joint
 from lierb.support.arrays import as_positive
+from lierb.support.representations import counted
 
 if TYPE_CHECKING:
     from mujoco import MjModel
@@ -152,22 +152,24 @@ def _lacking(model: MjModel) -> Iterator[str]:
     import mujoco
 
     collides = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
-    counts = Counter(
-        {
-            "geoms that collide": int(collides.sum()),
-            "contact pairs": model.npair,
-            "actuators": model.nu,
-            "tendons": model.ntendon,
-            "sensors": model.nsensor,
-            "flexes": model.nflex,
-            "plugins": model.nplugin,
-            "keyframes": model.nkey,
-            "joints with limits of their actuators' forces": int(model.jnt_actfrclimited.sum()),
-            "bodies with gravcomp": int(np.count_nonzero(model.body_gravcomp)),
-            "mocap bodies, which stand still": model.nmocap,
-        }
+    counts = (
+        (collides.sum(), "geom that collides", "geoms that collide"),
+        (model.npair, "contact pair", ""),
+        (model.nu, "actuator", ""),
+        (model.ntendon, "tendon", ""),
+        (model.nsensor, "sensor", ""),
+        (model.nflex, "flex", "flexes"),
+        (model.nplugin, "plugin", ""),
+        (model.nkey, "keyframe", ""),
+        (
+            model.jnt_actfrclimited.sum(),
+            "joint with limits of its actuators' forces",
+            "joints with limits of their actuators' forces",
+        ),
+        (np.count_nonzero(model.body_gravcomp), "body with gravcomp", "bodies with gravcomp"),
+        (model.nmocap, "mocap body, which stands still", "mocap bodies, which stand still"),
     )
-    yield from (f"{count} {what}" for what, count in counts.items() if count)
+    yield from (counted(int(count), one, several) for count, one, several in counts if count)
     if model.opt.density or model.opt.viscosity:
         yield "the fluid's density and viscosity"
     usual = mujoco.MjModel.from_xml_string("<mujoco/>").opt

@@ -17,6 +17,7 @@ import numpy as np
 
 from lierb.errors import ArgumentError, brief
 from lierb.support.arrays import Array
+from lierb.support.representations import counted
 
 if TYPE_CHECKING:
     from mujoco import MjsBody, MjSpec
@@ -319,18 +320,18 @@ def _lacking(root: Element, links: dict[str, Element], joints: dict[str, Element
     """Yield the elements of the file that the mechanism lacks, with their counts."""
     collisions = sum(len(link.findall("collision")) for link in links.values())
     if collisions:
-        yield f"{collisions} geoms that collide"
+        yield counted(collisions, "geom that collides", "geoms that collide")
     bounded = sum(
         joint.get("type") != "fixed" and not {"effort", "velocity"}.isdisjoint(limit.attrib)
         for joint in joints.values()
         for limit in joint.findall("limit")
     )
     if bounded:
-        yield f"limits of effort and velocity of {bounded} joints"
+        yield f"limits of effort and velocity of {counted(bounded, 'joint')}"
     unread = Counter(
         element.tag.rpartition("/")[2].replace("}", ":")  # last part of a name space
         for parent in (root, *links.values(), *joints.values())
         for element in parent
         if element.tag not in READ[parent.tag]
     )
-    yield from (f"{count} {tag} elements" for tag, count in unread.items())
+    yield from (counted(count, f"{tag} element") for tag, count in unread.items())

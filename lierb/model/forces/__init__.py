@@ -20,6 +20,7 @@ from lierb.model.forces import (
     limits,
     motors,
     springs,
+    stiction,
     wrenches,
 )
 from lierb.model.forces.added_masses import *  # noqa: F403
@@ -31,6 +32,7 @@ from lierb.model.forces.gears import *  # noqa: F403
 from lierb.model.forces.limits import *  # noqa: F403
 from lierb.model.forces.motors import *  # noqa: F403
 from lierb.model.forces.springs import *  # noqa: F403
+from lierb.model.forces.stiction import *  # noqa: F403
 from lierb.model.forces.wrenches import *  # noqa: F403
 from lierb.model.forces.wrenches import BodyWrench as BodyWrench
 from lierb.model.functions.wrenches import Force as Force
@@ -41,6 +43,7 @@ __all__ += added_masses.__all__
 __all__ += springs.__all__
 __all__ += bushings.__all__
 __all__ += friction.__all__
+__all__ += stiction.__all__
 __all__ += limits.__all__
 __all__ += motors.__all__
 __all__ += gears.__all__

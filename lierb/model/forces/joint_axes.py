@@ -14,19 +14,19 @@ from lierb.kernels.numbers.zero import ZERO
 from lierb.model.forces.built_in import BuiltIn
 from lierb.model.functions.named_values import require_attribute
 
-UNKNOWN = -1  # index of the counted angle before the force is part of a model
+UNKNOWN = -1  # index of a state before the force is part of a model
 
 
 @dataclass(frozen=True)
 class AtJoint(BuiltIn, is_abstract=True):
     """Force about the joint axis e₃, a function of the angle and its rate.
 
-    turns : name of the state that counts whole turns, or "".   counter : index of its number among
-    those of all extra states.
+    turns : name of the state that counts whole turns, or "".   index : place of the number of the
+    state that it reads among those of all extra states.
     """
 
     turns: str = ""
-    counter: int = UNKNOWN
+    index: int = UNKNOWN
     needs_axis: ClassVar = True
 
     @property
@@ -50,7 +50,7 @@ class AtJoint(BuiltIn, is_abstract=True):
         that of the pose.
         """
         if self.turns:
-            return counted_turn(x.q, x.signals.states[self.counter]) - middle
+            return counted_turn(x.q, x.signals.states[self.index]) - middle
         turn = atan2(x.q[3], x.q[0]) - middle
         return fma(-2.0 * PI, rint(turn * (0.5 / PI)), turn)  # in [−π, π]
 

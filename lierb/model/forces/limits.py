@@ -19,6 +19,8 @@ from lierb.support.arrays import Array
 
 __all__ = ["joint_limit", "slide_limit"]
 
+FAR = 1e100  # rad, m: beyond any coordinate
+
 
 class JointLimit(AtJoint):
     """Stops at both ends of an angle: a spring and damper beyond each."""
@@ -57,15 +59,18 @@ class JointLimit(AtJoint):
         _, _, stiffness, damping = placed
         return (self.tangent(stiffness, damping, is_lasting=False),)
 
-    def travel(self, placed: Any, start: Motion, end: Motion, size: Any) -> tuple[Bound, ...]:
+    def travel(
+        self, placed: Any, start: Motion, end: Motion, h: Any, size: Any
+    ) -> tuple[Bound, ...]:
         lower, upper = placed[:2]
         place, half = self.place(start, 0.5 * (lower + upper)), 0.5 * (upper - lower)
-        return (travel_to_kink(place, self.rate(end), (-half, half, *self.farther(half))),)
+        kinks = -half, half, *self.farther(half)
+        return (travel_to_kink(place, self.rate(start), self.rate(end), h, kinks),)
 
     def farther(self, half: Any) -> tuple[Any, ...]:
         """Kinks beyond the upper stop: half a turn from the middle, and then the lower stop."""
         if self.turns:
-            return (np.inf,)
+            return (FAR,)
         return PI, 2.0 * PI - half
 
     def energy(self, placed: Any, x: Motion) -> Any:
@@ -91,7 +96,7 @@ class SlideLimit(AlongJoint, JointLimit):
 
     def farther(self, half: Any) -> tuple[Any, ...]:
         """Return no kinks beyond the upper stop."""
-        return (np.inf,)
+        return (FAR,)
 
 
 def joint_limit(

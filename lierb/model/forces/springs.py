@@ -153,11 +153,14 @@ class TorsionalSpring(JointSpring):
         "angle": Parameter("rad"),
     }
 
-    def travel(self, placed: Any, start: Motion, end: Motion, size: Any) -> tuple[Bound, ...]:
+    def travel(
+        self, placed: Any, start: Motion, end: Motion, h: Any, size: Any
+    ) -> tuple[Bound, ...]:
         if self.turns:
             return ()
         # the torque jumps half a turn from where the spring is slack
-        return (travel_to_kink(self.place(start, placed[2]), self.rate(end), (PI, 3.0 * PI)),)
+        place, kinks = self.place(start, placed[2]), (PI, 3.0 * PI)
+        return (travel_to_kink(place, self.rate(start), self.rate(end), h, kinks),)
 
 
 def torsional_spring(

@@ -16,6 +16,7 @@ from lierb.model.functions.elements import Element, seeing
 from lierb.model.functions.events import Event
 from lierb.model.functions.states import ExtraStates
 from lierb.model.functions.tracing import why_untraced
+from lierb.model.functions.wrenches import Force
 
 
 class Column(NamedTuple):
@@ -28,12 +29,9 @@ class Column(NamedTuple):
 
 def columns_of(elements: Iterable[Element]) -> tuple[Column, ...]:
     """Return the columns of all extra states, then of all outputs, in the order of `Signals`."""
-    elements = tuple(elements)
     return tuple(
-        Column(name, shape, each.units.get(name, "1"))
-        for kind in (ExtraStates, Controller)
-        for each in elements
-        if isinstance(each, kind)
+        Column(name, shape, each.unit_of_column(name))
+        for each in sorted(elements, key=lambda e: isinstance(e, Controller))
         for name, shape in each.columns
     )
 
@@ -42,20 +40,23 @@ Elements = tuple[Any, ...]
 
 
 def bound(
-    states: tuple[ExtraStates, ...], controllers: tuple[Controller, ...], *others: Elements
+    forces: tuple[Force, ...],
+    states: tuple[ExtraStates, ...],
+    controllers: tuple[Controller, ...],
+    *others: Elements,
 ) -> tuple[Elements, ...]:
-    """Bind states, controllers and other elements to the problem's states and outputs.
+    """Bind forces, states, controllers and other elements to the problem's states and outputs.
 
     Raises ForceError for a function that takes states or outputs that do not exist, for one that
     cannot run, and for an event that returns a condition; ArgumentError for a name that occurs
     twice.
     """
-    _require_different(states)
-    state_columns = tuple(pair for each in states for pair in each.columns)
+    _require_different((*forces, *states))
+    state_columns = tuple(pair for each in (*forces, *states) for pair in each.columns)
     controllers = _with_outputs(controllers, state_columns)
-    _require_different((*states, *controllers))
+    _require_different((*forces, *states, *controllers))
     output_columns = tuple(pair for each in controllers for pair in each.columns)
-    parts: tuple[Elements, ...] = (states, controllers, *others)
+    parts: tuple[Elements, ...] = (forces, states, controllers, *others)
     result = tuple(tuple(e.bound(state_columns, output_columns) for e in part) for part in parts)
     for each in (e for part in result for e in part if isinstance(e, Event)):
         _require_number(each)
@@ -71,7 +72,7 @@ def _require_number(event: Event) -> None:
         )
 
 
-def _require_different(elements: Iterable[ExtraStates | Controller]) -> None:
+def _require_different(elements: Iterable[Element]) -> None:
     """Raise ArgumentError for a name that occurs twice; SQL ignores case."""
     owners: dict[str, str] = {}
     for each in elements:

@@ -125,6 +125,15 @@ class Element:
                     f"{self.words[0].partition(' ')[2]} anew, or make {reference.name} a parameter"
                 )
 
+    @property
+    def columns(self) -> Shapes:
+        """Names and shapes of the extra states, or outputs of a controller, that it has."""
+        return self.kind.states if isinstance(self.kind, kinds.AddedStates) else ()
+
+    def unit_of_column(self, name: str) -> str:
+        """Return the unit of one of `columns`."""
+        return self.kind.state_unit if isinstance(self.kind, kinds.AddedStates) else "1"
+
     def bound(self, states: Shapes, controls: Shapes) -> Self:
         """Return the element bound to a problem's extra states and outputs of controllers.
 

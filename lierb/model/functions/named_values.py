@@ -31,10 +31,8 @@ class NamedValues(Element):
     kind: Any
     units: Mapping[str, str] = field(default_factory=dict)
 
-    @property
-    def columns(self) -> Shapes:
-        """Return the names and shapes of the values."""
-        raise NotImplementedError
+    def unit_of_column(self, name: str) -> str:
+        return self.units.get(name, "1")
 
     def bound(self, states: Shapes, controls: Shapes) -> Self:
         if self.made_by is None:  # lierb's own

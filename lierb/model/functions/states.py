@@ -9,7 +9,7 @@ from typing import Any, ClassVar, overload
 from numpy.typing import ArrayLike
 
 from lierb.errors import ArgumentError
-from lierb.kernels.functions.shapes import Shapes, UserFunction
+from lierb.kernels.functions.shapes import UserFunction
 from lierb.kernels.mechanics import elements as kinds
 from lierb.model.functions.decorated import Decorated, decorated
 from lierb.model.functions.named_values import (
@@ -28,11 +28,6 @@ class ExtraStates(NamedValues):
 
     words: ClassVar = "states", "states"
     because: ClassVar = "it is integrated with the motion, of many at once"
-
-    @property
-    def columns(self) -> Shapes:
-        """Return the names and shapes of the states."""
-        return tuple(self.kind.states)
 
 
 class StatesFunction(Decorated):

@@ -136,14 +136,14 @@ def from_rows(
         Pitch of the `screw` row, m/rad.
     length : float or array_like, shape (n,), optional
         Length of the `rod` row, m, positive.
-    body_frame : array_like or RigidTransform, shape (4, 4) or (n, 4, 4), optional
-        Joint frame in the body frame, in place of point and axes.
-    ground_frame : array_like or RigidTransform, shape (4, 4) or (n, 4, 4), optional
+    body_frame : array_like, Rotation or RigidTransform, shape (4, 4) or (n, 4, 4), optional
+        Joint frame in the body frame, in place of point and axes; a Rotation is about the origin.
+    ground_frame : array_like, Rotation or RigidTransform, shape (4, 4) or (n, 4, 4), optional
         Joint frame in the ground frame, in place of the point.
     parent_point : array_like, shape (3,) or (n, 3), optional
         Another name of `ground_point`, for a joint between two links of a `lierb.Mechanism`: in the
         body frame of the parent.
-    parent_frame : array_like or RigidTransform, shape (4, 4) or (n, 4, 4), optional
+    parent_frame : array_like, Rotation or RigidTransform, shape (4, 4) or (n, 4, 4), optional
         Another name of `ground_frame`, likewise.
     name : str, optional
         Name of the joint.

@@ -9,13 +9,12 @@ import numpy as np
 from lierb.errors import ArgumentError, two_readings
 from lierb.kernels.numbers.vec import IDENTITY, ZERO3
 from lierb.model.joints.joint import Joint
-from lierb.model.joints.motions import TURNS, Motions
+from lierb.model.joints.motions import TURNS, Motions, as_coordinates
 from lierb.support.arrays import (
     Array,
     Pose,
     as_floats,
     as_matrix,
-    as_numbers,
     as_rotations,
     components,
 )
@@ -77,20 +76,5 @@ def relative_of(
             )
         turns = as_rotations(argument, given)
         return (components(turns, 2), ZERO3), {argument: (turns, 2)}
-    numbers = numbers_of(argument, given, motions.names)
+    numbers = as_coordinates(argument, given, motions.names)
     return motions.pose(components(numbers)), {argument: (numbers, 1)}
-
-
-def numbers_of(argument: str, given: Any, names: tuple[str, ...]) -> Array:
-    """Return coordinates, (k,) or (n, k); a single coordinate may be a number or (n,)."""
-    array, k = as_floats(argument, given), len(names)
-    if array.ndim == 0 and (k == 1 or not array):
-        array = np.full(k, array)
-    elif array.ndim == 1 and k == 1 and len(array) != 1:
-        array = array[:, None]
-    if array.ndim not in (1, 2) or array.shape[-1] != k:
-        expected = "a number, (n,) or (n, 1)" if k == 1 else f"({k},) or (n, {k})"
-        raise ArgumentError(
-            f"{argument} has shape {np.shape(given)}; expected {expected}, of {', '.join(names)}"
-        )
-    return as_numbers(argument, array, (k,))

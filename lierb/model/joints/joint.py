@@ -15,7 +15,14 @@ from lierb.kernels.mechanics.newton_euler import closed_pose
 from lierb.kernels.mechanics.rows import JointRow, parameters_of
 from lierb.kernels.mechanics.subgroup import slots_of
 from lierb.kernels.numbers.vec import ZERO3, add, cross, mat_t_vec
-from lierb.model.joints.motions import TURNS, Factor, Motions, ProductMotions, SubgroupMotions
+from lierb.model.joints.motions import (
+    TURNS,
+    Factor,
+    Motions,
+    ProductMotions,
+    SubgroupMotions,
+    as_coordinates,
+)
 from lierb.support.arrays import (
     Array,
     Pose,
@@ -141,11 +148,12 @@ class Joint(Represented):
             Angular velocity in the body frame, rad/s. Default: 0.
         point_velocity : array_like, shape (3,) or (n, 3), optional
             Velocity of the joint's body point in the ground frame, m/s. Default: 0.
-        pose : array_like or RigidTransform, shape (4, 4) or (n, 4, 4), optional
+        pose : array_like, Rotation or RigidTransform, shape (4, 4) or (n, 4, 4), optional
             Pose of the body. Default: the closed joint.
         velocities : array_like, shape (k,) or (n, k), optional
             Rates of the joint's coordinates, rad/s and m/s, instead of `omega` and
-            `point_velocity`.
+            `point_velocity`; a single one may be a number or (n,). Those of a rotation vector ξ are
+            dξ/dt, not ω.
         coordinates : array_like, shape (k,) or (n, k), optional
             Coordinates of the joint, instead of `pose`.
 
@@ -213,7 +221,7 @@ class Joint(Represented):
         ----------
         twist : array_like, shape (6,) or (n, 6)
             Body-fixed twist (ω, v), rad/s and m/s. It is not checked against the joint.
-        pose : array_like or RigidTransform, shape (4, 4) or (n, 4, 4), optional
+        pose : array_like, Rotation or RigidTransform, shape (4, 4) or (n, 4, 4), optional
             Pose of the body. Default: the closed joint.
 
         Returns
@@ -261,7 +269,7 @@ class Joint(Represented):
 
         Parameters
         ----------
-        pose : array_like or RigidTransform, shape (4, 4) or (n, 4, 4)
+        pose : array_like, Rotation or RigidTransform, shape (4, 4) or (n, 4, 4)
             Pose of the body. It is not checked whether it closes the joint.
 
         Returns
@@ -293,10 +301,10 @@ class Joint(Represented):
         Parameters
         ----------
         place : array_like or Rotation, optional
-            Coordinates or rotation. An ambiguous shape is refused: (3, 3) is a matrix, or the
-            rotation vectors of three bodies.
+            Coordinates or rotation; a single coordinate may be a number or (n,). An ambiguous shape
+            is refused: (3, 3) is a matrix, or the rotation vectors of three bodies.
         coordinates : array_like, shape (k,) or (n, k), optional
-            Coordinates, rad and m; see `coordinate_names`.
+            Coordinates, rad and m; see `coordinate_names`. A single one may be a number or (n,).
         rotation : array_like or Rotation, shape (3, 3) or (n, 3, 3), optional
             Orientation of the body's joint frame in the ground's, for a joint that turns about a
             point.
@@ -356,14 +364,7 @@ class Joint(Represented):
 
     def _numbers(self, argument: str, given: ArrayLike | None) -> Array:
         """Return coordinates, or their rates, (k,) or (n, k)."""
-        names, array = self.coordinate_names, as_floats(argument, given)
-        k = len(names)
-        if array.ndim not in (1, 2) or array.shape[-1] != k:
-            raise ArgumentError(
-                f"{argument} has shape {array.shape}; expected ({k},) or (n, {k}), of "
-                f"{', '.join(names)}"
-            )
-        return as_numbers(argument, array, (k,))
+        return as_coordinates(argument, given, self.coordinate_names)
 
     @property
     def _frames(self) -> dict[str, tuple[Array, int]]:

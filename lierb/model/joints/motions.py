@@ -10,13 +10,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from lierb.errors import ArgumentError
 from lierb.kernels.groups import se3, so3
 from lierb.kernels.mechanics.rows import JOINT_ROWS, PITCHED, Rows
 from lierb.kernels.mechanics.subgroup import Slots
 from lierb.kernels.numbers.trigonometry import atan2
 from lierb.kernels.numbers.vec import ZERO3, Vec, add, dot, mat_t_vec, mat_vec, neg, row
 from lierb.kernels.numbers.zero import ZERO
-from lierb.support.arrays import Array, Pose
+from lierb.support.arrays import Array, Pose, as_floats, as_numbers
 
 TURNS = ("xi1", "xi2", "xi3")  # names of the components of a rotation vector
 
@@ -183,3 +184,18 @@ class ProductMotions:
 
 
 Motions = SubgroupMotions | ProductMotions
+
+
+def as_coordinates(argument: str, given: Any, names: tuple[str, ...]) -> Array:
+    """Convert to coordinates, (k,) or (n, k); a single one may be given as a number or (n,)."""
+    array, k = as_floats(argument, given), len(names)
+    if array.ndim == 0 and (k == 1 or not array):
+        array = np.full(k, array)
+    elif array.ndim == 1 and k == 1 and len(array) != 1:
+        array = array[:, None]
+    if array.ndim not in (1, 2) or array.shape[-1] != k:
+        expected = "a number, (n,) or (n, 1)" if k == 1 else f"({k},) or (n, {k})"
+        raise ArgumentError(
+            f"{argument} has shape {np.shape(given)}; expected {expected}, of {', '.join(names)}"
+        )
+    return as_numbers(argument, array, (k,))

@@ -9,6 +9,7 @@ depend on the other members.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from contextlib import nullcontext
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -36,6 +37,7 @@ from lierb.model.mechanism.row_system import (
     wrong_way,
 )
 from lierb.support.arrays import Array, assembled, pose_components, pose_matrix
+from lierb.support.progress import reporter
 
 if TYPE_CHECKING:
     from lierb.model.mechanism.kinematics import TreeKinematics
@@ -47,6 +49,9 @@ DAMPING = 1e-2
 MISSED = 0.1 * START_TOLERANCE  # largest residual of a projected twist, relative to the speed
 CONTRADICTION = 1e-6  # largest residual of rows with prescribed rates, relative to these
 MOST_NUMBERS = 2**22  # largest number of entries of the matrices that are decomposed at once
+
+
+ASSEMBLIES = "assemblies"  # unit of progress
 
 
 class Mobility(NamedTuple):
@@ -109,17 +114,86 @@ def _joined(parts: list[list[Array]], is_batch: bool) -> list[Array]:
 # ---- poses -------------------------------------------------------------------------------------
 
 
-def closed(mechanism: TreeKinematics, poses: list[Array], t0: float = 0.0) -> list[Array]:
-    """Return the nearest poses that close all joints and loops; closed poses are unchanged."""
+def closed(
+    mechanism: TreeKinematics,
+    poses: list[Array],
+    t0: float = 0.0,
+    report: Callable[[int], None] | None = None,
+) -> list[Array]:
+    """Return the nearest poses that close all joints and loops; closed poses are unchanged.
+
+    report : function of the number of members done; None for a progress bar.
+    """
     parts = _parts(mechanism, [("pose", poses, 2)])
-    results = [_closed(part, t0) for part in parts]
+    results = []
+    shown = nullcontext(report) if report else reporter(None, parts[0].count, ASSEMBLIES)
+    with shown as show:
+        for part in parts:
+            results.append(_closed(part, t0))
+            show(part.first + len(part.arrays[0]))
     if not any(has_moved for _, has_moved in results):
         return poses
     return _joined([arrays for arrays, _ in results], parts[0].is_batch)
 
 
+def closed_members(
+    mechanism: TreeKinematics, poses: list[Array], t0: float
+) -> tuple[list[Array], Array]:
+    """Return the nearest closed poses of a batch, and the indices of the members that close."""
+    parts = _parts(mechanism, [("pose", poses, 2)])
+    results, chosen = [], []
+    with reporter(None, parts[0].count, ASSEMBLIES) as report:
+        for part in parts:
+            last = _newton(part, t0)
+            against = [wrong_way(s, last.system.count) for s in last.states]
+            is_closed = last.is_closed.copy()
+            is_closed[np.concatenate([*against, np.zeros(0, np.int64)])] = False
+            results.append(last.arrays(part))
+            chosen.append(part.first + np.flatnonzero(is_closed))
+            report(part.first + len(part.arrays[0]))
+    return _joined(results, is_batch=True), np.concatenate(chosen)
+
+
 def _closed(part: Part, t0: float) -> tuple[list[Array], bool]:
     """Return the closed poses of a part, and whether any pose has changed.
+
+    Raises PoseError for the first member that does not close.
+    """
+    last = _newton(part, t0)
+    for member in np.flatnonzero(~last.is_closed)[:1].tolist():
+        label = part.label("pose", member)
+        raise PoseError(_no_convergence(last.system, last.states, last.off, member, label))
+    for s in last.states:
+        for member in wrong_way(s, last.system.count)[:1].tolist():
+            raise PoseError(reversed_joint(part.mechanism, s.at, part.label("pose", member)))
+    return last.arrays(part), bool(not last.was_closed.all())
+
+
+class Iterate(NamedTuple):
+    """Last iterate of Newton's method.
+
+    states : connections at `poses`.   off : residuals of their rows.
+    is_closed, was_closed : (count,), at the last and at the first iterate.
+    """
+
+    system: System
+    states: list[ConnectionState]
+    off: list[list[Any]]
+    poses: list[Pose]
+    is_closed: Any
+    was_closed: Any
+
+    def arrays(self, part: Part) -> list[Array]:
+        """Return the poses; those that were closed at first are unchanged."""
+        unchanged = self.was_closed[:, None, None]
+        return [
+            np.where(unchanged, before, np.broadcast_to(pose_matrix(after), before.shape))
+            for before, after in zip(part.arrays, self.poses, strict=True)
+        ]
+
+
+def _newton(part: Part, t0: float) -> Iterate:
+    """Close the poses of a part.
 
     Newton's steps are damped by the squared residual (Levenberg, Marquardt). Convergence is then
     quadratic for redundant rows too, which are only nearly redundant away from closed poses.
@@ -151,18 +225,7 @@ def _closed(part: Part, t0: float) -> tuple[list[Array], bool]:
             moved = se3.compose(poses[i], se3.exp(screw))
             moved = so3.orthonormalised(moved[0]), moved[1]
             poses[i] = where(is_closed, poses[i], moved)  # converged members are frozen
-    for member in np.flatnonzero(~is_closed)[:1].tolist():
-        label = part.label("pose", member)
-        raise PoseError(_no_convergence(system, states, off, member, label))
-    for s in states:
-        for member in wrong_way(s, system.count)[:1].tolist():
-            raise PoseError(reversed_joint(part.mechanism, s.at, part.label("pose", member)))
-    unchanged = was_closed[:, None, None]
-    arrays = [
-        np.where(unchanged, before, np.broadcast_to(pose_matrix(after), before.shape))
-        for before, after in zip(part.arrays, poses, strict=True)
-    ]
-    return arrays, bool(not was_closed.all())
+    return Iterate(system, states, off, poses, is_closed, was_closed)
 
 
 def _residuals(s: ConnectionState, before: ConnectionState) -> list[Any]:
@@ -293,13 +356,17 @@ def _rates(system: System, poses: list[Pose], twists: list[Vec], t0: float) -> A
     return system.column([s.rate(r) for s in states for r in s.at.rows])
 
 
-def mobility(mechanism: TreeKinematics, poses: list[Array]) -> Mobility:
-    """Count freedoms and redundant rows at these poses, without motors."""
+def mobility(
+    mechanism: TreeKinematics,
+    poses: list[Array],
+    is_counted: Callable[[Row], bool] = lambda row: not row.depends_on_time,
+) -> Mobility:
+    """Count freedoms and redundant rows at these poses, by default without motors."""
     parts, counts = _parts(mechanism, [("pose", poses, 2)]), []
     for part in parts:
         system = System(part.mechanism, len(part.arrays[0]))
         states = system.states([pose_components(x) for x in part.arrays])
-        states = _with_rows(states, lambda r: not r.depends_on_time)
+        states = _with_rows(states, is_counted)
         rows = system.decomposed(states)
         counts.append([rows.freedoms, rows.lengths.shape[1] - rows.ranks])
     numbers = _joined(counts, parts[0].is_batch)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -9,12 +10,15 @@ import numpy as np
 
 from lierb.errors import ArgumentError
 from lierb.kernels.groups import se3
+from lierb.model.connections import NOWHERE
 from lierb.model.forces.motors import PositionMotor, motor
 from lierb.model.joints import catalogue
-from lierb.model.joints.coordinates import motions_of, numbers_of
-from lierb.model.mechanism.closing import closed
+from lierb.model.joints.coordinates import motions_of
+from lierb.model.joints.motions import TURNS, as_coordinates
+from lierb.model.mechanism.closing import ASSEMBLIES, closed
 from lierb.model.mechanism.row_system import System
 from lierb.support.arrays import Array, components, pose_components, pose_matrix
+from lierb.support.progress import reporter
 
 if TYPE_CHECKING:
     from lierb.model.mechanism.kinematics import TreeKinematics
@@ -22,46 +26,81 @@ if TYPE_CHECKING:
 # Largest change of a held coordinate between two closed poses, rad, or relative to the size of the
 # mechanism: a step stays on the branch of the pose before.
 STEP = 0.1
+SLIDES = "ds"  # first letters of coordinates in m
 
 
 def closed_at(mechanism: TreeKinematics, poses: list[Array], hold: Any, t0: float) -> list[Array]:
     """Return closed poses in which joints have the coordinates in `hold`, a dictionary by link.
 
     The coordinates go there from those of `poses` in small steps, each of which is closed from the
-    step before.
+    step before. Angles go the shorter way, unless whole turns count.
     """
     ends = {
-        name: _coordinates(mechanism, name, value)
+        name: coordinates_of(mechanism, name, value)
         for name, value in mechanism.by_link("hold", hold, is_whole=False).items()
     }
     before = mechanism.coordinates(dict(zip(mechanism.names, poses, strict=True)))
     starts = {name: before[name] for name in ends}
     length = float(np.max(System(mechanism, 1).length))
-    steps = 1
+    ended = {f"hold[{name!r}]": (end, 1) for name, end in ends.items()}
+    given = {f"pose[{i}]": (pose, 2) for i, pose in enumerate(poses)}
+    count = mechanism.batch_size(**ended, **given) or 1
+    ways, steps = {}, 1
     for name, end in ends.items():
         names = mechanism.link(name).joint.coordinate_names
-        units = [length if each[0] in "ds" else 1.0 for each in names]
-        farthest = np.max(np.abs(end - starts[name]) / units)
-        steps = max(steps, int(np.ceil(farthest / STEP)))
-    for step in range(1, steps + 1):
+        ways[name] = end - starts[name]
+        if not _counts_turns(mechanism):
+            ways[name] -= _whole_turns(starts[name], end, names)
+        units = [length if each[0] in SLIDES else 1.0 for each in names]
+        steps = max(steps, int(np.ceil(np.max(np.abs(ways[name]) / units) / STEP)))
+
+    def moved(step: int, poses: list[Array], report: Callable[[int], None]) -> list[Array]:
         places = {
-            name: end if step == steps else starts[name] + step / steps * (end - starts[name])
+            name: end if step == steps else starts[name] + step / steps * ways[name]
             for name, end in ends.items()
         }
-        poses = closed(_held(mechanism, places), poses, t0)
+        done = (step - 1) * count
+        return closed(held(mechanism, places), poses, t0, lambda n: report(done + n))
+
+    with reporter(None, steps * count, ASSEMBLIES) as report:
+        for step in range(1, steps + 1):
+            poses = moved(step, poses, report)
     return poses
 
 
-def _coordinates(mechanism: TreeKinematics, name: str, value: Any) -> Array:
+def _counts_turns(mechanism: TreeKinematics) -> bool:
+    """Return whether a whole turn of a joint leads elsewhere, by a gear or a screw."""
+    return any(
+        at.second != NOWHERE or (at.joint is not None and np.any(at.joint.pitch))
+        for at in mechanism.connections
+    )
+
+
+def _whole_turns(start: Array, end: Array, names: tuple[str, ...]) -> Array:
+    """Return the whole turns by which coordinates exceed the nearest equivalent ones of a start.
+
+    They are about the axis of an angle or of a rotation vector.
+    """
+    excess = np.zeros_like(end - start)
+    angles = [[i] for i, name in enumerate(names) if name[0] not in SLIDES]
+    for turn in [[0, 1, 2]] if names[:3] == TURNS else angles:
+        size = np.linalg.norm(end[..., turn], axis=-1, keepdims=True)
+        axis = end[..., turn] / np.where(size, size, 1.0)
+        along = np.sum(axis * start[..., turn], axis=-1, keepdims=True)
+        excess[..., turn] = 2.0 * np.pi * np.round((size - along) / (2.0 * np.pi)) * axis
+    return excess
+
+
+def coordinates_of(mechanism: TreeKinematics, name: str, value: Any) -> Array:
     """Check the coordinates of a held joint; (k,) or (n, k)."""
     joint = mechanism.link(name).joint
     motions = motions_of(joint)
     if motions is None:
         raise ArgumentError(f"hold[{name!r}]: a {joint.name} joint has no coordinates to hold")
-    return numbers_of(f"hold[{name!r}]", value, motions.names)
+    return as_coordinates(f"hold[{name!r}]", value, motions.names)
 
 
-def _held(mechanism: TreeKinematics, places: dict[str, Array]) -> TreeKinematics:
+def held(mechanism: TreeKinematics, places: dict[str, Array]) -> TreeKinematics:
     """Return the mechanism with joints held: by a motor, or fixed if they have more coordinates.
 
     Gears act between moving joints, so a joint with one coordinate is not fixed.

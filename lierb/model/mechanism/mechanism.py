@@ -12,6 +12,7 @@ from lierb.errors import LeftOutWarning, LierbError
 from lierb.kernels.systems.plan import UNSTABILISED, MechanismPlan
 from lierb.model.files import mujoco as model_files
 from lierb.model.formulation import Formulation
+from lierb.model.mechanism.branches import assemblies_at
 from lierb.model.mechanism.closing import Mobility, closed, mobility, projected
 from lierb.model.mechanism.holding import closed_at
 from lierb.model.mechanism.kinematics import TreeKinematics
@@ -106,8 +107,10 @@ class Mechanism(TreeKinematics):
         path : path
             The file. Paths of included files and meshes are relative to it.
         base : {"free", "fixed"}, optional
-            With "free", bodies that the file puts on the ground without a joint move freely; with
-            "fixed", free joints on the ground are removed. Default: as in the file.
+            With "free", bodies that the file puts on the ground without a joint, and that carry
+            bodies with joints, move freely; if no body has a joint, those with a mass. Others, such
+            as a floor or a mocap body, stay part of the ground. With "fixed", free joints on the
+            ground are removed. Default: as in the file.
         frames : {"file", "centre"}, optional
             With "centre", body frames are moved to the centres of mass, as cspace="SO3xR3" needs
             them; their axes stay. Default: those of the file.
@@ -231,7 +234,8 @@ class Mechanism(TreeKinematics):
         hold : dict, optional
             Coordinates that joints shall have, by link, as for `pose`: numbers or arrays of n. They
             go there from those of `pose` in steps of at most 0.1 rad, or a tenth of the mechanism's
-            size, each closed from the one before: the assembly stays on its branch.
+            size, each closed from the one before: the assembly stays on its branch. Angles go the
+            shorter way, unless the mechanism has gears or screws, for which whole turns count.
         t0 : float, optional
             Time at which the positions of motors are evaluated, s.
 
@@ -271,6 +275,70 @@ class Mechanism(TreeKinematics):
         given, time = self.pose_arrays("pose", pose), as_number("t0", t0)
         with np.errstate(all="ignore"):  # with an overflow it does not converge
             poses = closed_at(self, given, hold, time) if hold else closed(self, given, time)
+        return self._checked("the closed pose", poses)
+
+    def assemblies(
+        self,
+        hold: ByLink | None = None,
+        *,
+        pose: ByLink | None = None,
+        starts: int = 200,
+        t0: float = 0.0,
+    ) -> dict[str, Array]:
+        """Search for all poses that close the loops at given coordinates of joints.
+
+        All other joints start at random coordinates, the same ones in every call, and each start is
+        closed as by `close`. Poses that agree to 1e-5 are one. This is a search, which may miss
+        assemblies that few starts lead to: more starts find more of them. `close` follows a branch
+        from its pose to other coordinates.
+
+        Parameters
+        ----------
+        hold : dict, optional
+            Coordinates of joints by link, as in `close`, of one member. All freedoms must be held.
+        pose : dict, optional
+            Poses of all links, from which the order counts. Default: all coordinates 0.
+        starts : int, optional
+            Number of random starts.
+        t0 : float, optional
+            Time at which the positions of motors are evaluated, s.
+
+        Returns
+        -------
+        dict of ndarray, shape (k, 4, 4)
+            Poses of each link in the k assemblies, the nearest to `pose` first.
+
+        Raises
+        ------
+        ArgumentError
+            The mechanism is a batch or has gears, or the links can still move.
+        PoseError
+            No start comes to close.
+
+        Examples
+        --------
+        >>> import lierb
+        >>> rod = lierb.bodies.rod(1.0, 0.01, mass=1.0)
+        >>> turning = dict(axis=(0.0, 1.0, 0.0))
+        >>> bar = lierb.Link("bar", rod, lierb.joints.revolute((0.0, 0.0, 0.5), **turning))
+        >>> strut = lierb.Link(
+        ...     "strut", rod, lierb.joints.revolute((0.0, 0.0, 0.5), (1.0, 0.0, 0.0), **turning)
+        ... )
+        >>> tie = lierb.Loop(
+        ...     "tie",
+        ...     lierb.joints.revolute((0.0, 0.0, -0.5), parent_point=(0.0, 0.0, -0.5), **turning),
+        ...     "strut",
+        ...     "bar",
+        ... )
+        >>> truss = lierb.Mechanism([bar, strut], tie)
+        >>> both = truss.assemblies()
+        >>> truss.coordinates(both)["bar"].round(6).tolist()  # −π/6 and −5π/6
+        [[-0.523599], [-2.617994]]
+        """
+        near = self.pose() if pose is None else pose
+        arrays = dict(zip(self.names, self.pose_arrays("pose", near), strict=True))
+        with np.errstate(all="ignore"):
+            poses = assemblies_at(self, hold, arrays, starts, as_number("t0", t0))
         return self._checked("the closed pose", poses)
 
     def project(

@@ -47,7 +47,7 @@ class Shape:
 
         Parameters
         ----------
-        pose : array_like or RigidTransform, shape (4, 4)
+        pose : array_like, Rotation or RigidTransform, shape (4, 4)
             Pose of the shape's frame in the body frame.
 
         Returns

@@ -1,12 +1,16 @@
 """Convert a problem and a design made in Python to the tables of a study's file.
 
 Such a study has all features of a study from a file; its result folder describes it completely.
+Numbers that are the defaults of `lierb.Body`, joints and `lierb.forces` are left out.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from inspect import signature
 from typing import Any
+
+import numpy as np
 
 from lierb.errors import ArgumentError, StudyError, brief, unknown_name
 from lierb.kernels.functions.function import Function
@@ -118,7 +122,7 @@ def study_of(
                 raise unknown_name("initial", key, KEYS["initial"])
         tables["initial"] = dict(initial or {})
         tables["body"] = _body("", problem.body, design)
-        tables["joint"] = _joint("", problem.joint)
+        tables["joint"] = _joint("", problem.joint, design)
     for table in ELEMENTS:
         elements = [_element(each, code) for each in getattr(problem, table)]
         tables["problem"][table] = _labelled(elements)
@@ -163,7 +167,7 @@ def _links_and_loops(
         {
             "name": link.name, "parent": link.parent,
             "body": _body(f"{link.name}.", link.body, design),
-            "joint": _joint(f"{link.name}.", link.joint),
+            "joint": _joint(f"{link.name}.", link.joint, design),
             "initial": initial.get(link.name, {}),
         }
         for link in mechanism.links
@@ -171,7 +175,7 @@ def _links_and_loops(
     loops = [
         {
             "name": loop.name, "body": loop.body, "parent": loop.parent,
-            "joint": _joint(f"{loop.name}.", loop.joint),
+            "joint": _joint(f"{loop.name}.", loop.joint, design),
         }
         for loop in mechanism.loops
     ]  # fmt: skip
@@ -191,20 +195,27 @@ def _one(label: str, array: Array, item_axes: int = 0) -> Any:
 
 def _body(prefix: str, body: Body, design: Design) -> dict[str, Any]:
     """Return the table of a body.   prefix : prefix of the names of its quantities."""
-    tables = {
-        "mass": _one(f"{prefix}mass", body.mass), "com": _one(f"{prefix}com", body.com, 1),
-    }  # fmt: skip
+    tables = {"mass": _one(f"{prefix}mass", body.mass)}
+    com = _one(f"{prefix}com", body.com, 1)
+    if any(com):
+        tables["com"] = com
     if f"{prefix}body.second_moments" not in design.quantities:
         tables["inertia"] = _one(f"{prefix}inertia", body.inertia, 2)
     return tables
 
 
-def _joint(prefix: str, joint: Joint) -> dict[str, Any]:
-    tables: dict[str, Any] = {
-        "type": joint.name if joint.name in JOINTS else "from_rows",
-        "ground_frame": _one(f"{prefix}ground_frame", joint.ground_frame, 2),
-        "body_frame": _one(f"{prefix}body_frame", joint.body_frame, 2),
-    }
+def _joint(prefix: str, joint: Joint, design: Design) -> dict[str, Any]:
+    tables: dict[str, Any] = {"type": joint.name if joint.name in JOINTS else "from_rows"}
+    on_body = _one(f"{prefix}body_frame", joint.body_frame, 2)
+    on_ground = _one(f"{prefix}ground_frame", joint.ground_frame, 2)
+    parallel = np.array(on_body)
+    parallel[:3, 3] = 0.0
+    if not np.array_equal(on_body, np.eye(4)):
+        tables["body_frame"] = on_body
+    # Beside points that are drawn, a frame parallel to the body's would be made for each of them.
+    is_drawn = f"{prefix}joint.body_point" in design.quantities
+    if is_drawn or not np.array_equal(on_ground, parallel):
+        tables["ground_frame"] = on_ground
     if tables["type"] == "from_rows":
         tables["rows"] = [str(row) for row in joint.rows]
     for name in parameters_of(joint.rows):
@@ -276,7 +287,13 @@ def _element(element: Element, code: dict[str, str]) -> dict[str, Any]:
                 "with @lierb.wrench in a file"
             )
         assert isinstance(element.kind, forces.BuiltIn)
-        return {"type": element.name, **parameters, **element.kind.options, **placed}
+        defaults = signature(getattr(forces, element.name)).parameters
+        chosen = {
+            name: value
+            for name, value in (parameters | element.kind.options).items()
+            if not np.array_equal(value, defaults[name].default)
+        }
+        return {"type": element.name, **chosen, **placed}
     file, text, name = source_of(element.made_by)
     if code.setdefault(file, text) != text:
         raise StudyError(f"two different files are called {file}; rename one of them")

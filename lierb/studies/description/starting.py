@@ -16,8 +16,9 @@ from lierb.kernels.groups import se3
 from lierb.kernels.mechanics.constraints import holds_a_point
 from lierb.kernels.numbers.vec import IDENTITY, ZERO6, Vec, add, mat_t_vec
 from lierb.model.connections import NOWHERE
-from lierb.model.joints.coordinates import motions_of, numbers_of
+from lierb.model.joints.coordinates import motions_of
 from lierb.model.joints.joint import Joint
+from lierb.model.joints.motions import as_coordinates
 from lierb.model.mechanism.mechanism import Mechanism
 from lierb.model.problem import Problem
 from lierb.support.arrays import (
@@ -175,7 +176,9 @@ def _twists(
         if "twist" in given:
             twists[i] = components(as_numbers(f"{link.name}.twist", given["twist"], (6,)))
             continue
-        carried = ZERO6 if at.parent == NOWHERE else mechanism.carried(at, placed, twists)
+        carried = ZERO6
+        if at.parent != NOWHERE:
+            carried = mechanism.carried(at, mechanism.relative(at, placed), twists)
         frame = pose_components(link.joint.body_frame)
         if "omega" in given:  # the origin of the link's joint frame moves with the parent
             omega = components(as_numbers(f"{link.name}.omega", given["omega"], (3,)))
@@ -206,4 +209,4 @@ def _numbers(argument: str, given: Any, names: tuple[str, ...]) -> Array:
             f"{argument} has {counted(len(given), 'number')}; expected {expected}, of "
             f"{', '.join(names)}"
         )
-    return numbers_of(argument, given, names)
+    return as_coordinates(argument, given, names)
