@@ -332,6 +332,16 @@ def test_derivatives_by_sampled_numbers_are_differences_of_runs(tables, link):
                 assert error < 1e-7 * np.abs(expected).max(), (name, c)
 
 
+def test_directions_that_joints_do_not_admit_explain_nothing():
+    """Two components of a hinge's omega0 are rounding; the upper rate carries both links."""
+    run = DOUBLE["integrate"] | {"sensitivities": "upper.omega0"}
+    study = Study.of(DOUBLE | {"integrate": run})
+    deviations = {n: np.sqrt(q.moments[1].diagonal()) for n, q in study.design.quantities.items()}
+    chain = AlongParameters(study, study.batch(0, 3).draws, deviations)
+    expected = "sensitivities lacks what it changes, upper.twist0, lower.twist0"
+    assert chain.along("upper.initial.velocities") == expected
+
+
 # ---- the same bytes ----------------------------------------------------------------------------
 
 

@@ -100,14 +100,11 @@ class AlongParameters:
         """Return the pseudoinverse of all directions, (n, directions, numbers).
 
         Directions of a start may depend on each other; along any of their sums the run has one
-        derivative.
+        derivative. Those that the joints do not admit are rounding.
         """
         parts = [self._scales[f] * d for f, d in self.directions.items()]
-        whole = np.concatenate(parts, axis=1)
-        lengths = np.linalg.norm(whole, axis=1)
-        lengths[lengths == 0.0] = 1.0
-        inverse: Array = np.linalg.pinv(whole / lengths[:, None], rcond=RANK)
-        return np.asarray(inverse / lengths[:, :, None])
+        inverse: Array = np.linalg.pinv(np.concatenate(parts, axis=1), rcond=RANK)
+        return inverse
 
     def _unexplained(self, change: Fields, weights: Array) -> Iterator[str]:
         """Yield the fields whose changes are no sum of the directions; AXES for a frame's axes."""
