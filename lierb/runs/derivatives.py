@@ -43,14 +43,24 @@ class Derivatives(NamedTuple):
     times: Array
 
 
-def require_differentiable(ready: Ready, parameters: tuple[Parameter, ...]) -> None:
-    """Raise ArgumentError for a run that has no derivatives, MemoryLimitError for one too large."""
+def require_differentiable(
+    ready: Ready, parameters: tuple[Parameter, ...], argument: str = "with_respect_to"
+) -> None:
+    """Raise ArgumentError for a run that has no derivatives, MemoryLimitError for one too large.
+
+    argument : of the parameters, for messages.
+    """
     for obstacle in (*_obstacles(ready), *_unfit_names(ready, parameters)):
-        raise ArgumentError(f"with_respect_to: {obstacle}")
-    numbers = derivatives_of(ready.plan).count * sum(p.size for p in parameters)
-    rows = (ready.times.saved_rows + 1) * ready.inputs.count
+        raise ArgumentError(f"{argument}: {obstacle}")
+    size = derivative_bytes(ready, parameters) * ready.inputs.count
     remedy = "take fewer parameters or trajectories at a time, or save less often"
-    require_memory(COPIES * 8 * numbers * rows, "the derivatives", remedy)
+    require_memory(size, "the derivatives", remedy)
+
+
+def derivative_bytes(ready: Ready, parameters: tuple[Parameter, ...]) -> int:
+    """Return the bytes of a trajectory's derivatives in memory, at the saved times and the end."""
+    numbers = derivatives_of(ready.plan).count * sum(p.size for p in parameters)
+    return COPIES * 8 * numbers * (ready.times.saved_rows + 1)
 
 
 def _obstacles(ready: Ready) -> Iterator[str]:

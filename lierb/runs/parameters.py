@@ -61,34 +61,41 @@ def slices_of(parameters: Iterable[Parameter]) -> dict[str, slice]:
     return slices
 
 
-def chosen_parameters(model: Model, given: Any) -> tuple[Parameter, ...]:
-    """Return the parameters of the argument `with_respect_to`. Raises ArgumentError."""
+def parameters_by_name(model: Model) -> dict[str, Parameter]:
+    """Return all parameters of a model."""
+    return {p.name: p for p in _parameters(model)}
+
+
+def chosen_parameters(
+    model: Model, given: Any, argument: str = "with_respect_to"
+) -> tuple[Parameter, ...]:
+    """Return the parameters of an argument with their names. Raises ArgumentError."""
     expected = "names of parameters, such as omega0 or body.mass"
-    names = (given,) if isinstance(given, str) else items_of("with_respect_to", given, expected)
-    known = {p.name: p for p in _parameters(model)}
+    names = (given,) if isinstance(given, str) else items_of(argument, given, expected)
+    known = parameters_by_name(model)
     parameters: dict[str, Parameter] = {}
     for name in names:
         if not isinstance(name, str):
-            raise ArgumentError(f"with_respect_to has {brief(name)}; expected {expected}")
+            raise ArgumentError(f"{argument} has {brief(name)}; expected {expected}")
         table, _, rest = name.partition(".")
         key = rest if table in OF_LISTS and name not in known else name
         if key not in known:
-            raise _unknown(model, name, known)
+            raise _unknown(model, argument, name, known)
         if key in parameters:
-            raise ArgumentError(f"with_respect_to names {key} twice; name it once")
+            raise ArgumentError(f"{argument} names {key} twice; name it once")
         parameters[key] = known[key]
     return tuple(parameters.values())
 
 
-def _unknown(model: Model, name: str, known: dict[str, Parameter]) -> LierbError:
+def _unknown(model: Model, argument: str, name: str, known: dict[str, Parameter]) -> LierbError:
     for element, label, _ in labelled(model):
         for parameter in _times(element):
             if name == f"{label}.{parameter}":
                 return ArgumentError(
-                    f"with_respect_to={brief(name)} determines times at which {element.name} "
+                    f"{argument}={brief(name)} determines times at which {element.name} "
                     "jumps, by which the motion is not differentiated; leave it out"
                 )
-    return unknown_name("with_respect_to", name, known)
+    return unknown_name(argument, name, known)
 
 
 def _parameters(model: Model) -> Iterator[Parameter]:
