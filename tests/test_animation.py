@@ -226,7 +226,7 @@ def test_scene_has_the_results_poses_in_single_precision(spun):
         np.testing.assert_array_equal(decoded(view["t"], kind="<f8"), result.t)
         column = result.history["position_error"].to_numpy().reshape(-1, 2)[:, number]
         np.testing.assert_array_equal(
-            decoded(view["errors"]["position_error"]), column.astype("f4")
+            decoded(view["values"]["position_error"]), column.astype("f4")
         )
     assert scene["curves"] == {"position_error": "position error [m]"}
     assert scene["up"] == [0.0, 0.0, 1.0]
@@ -251,7 +251,7 @@ def test_long_histories_are_thinned_and_keep_their_largest_errors(spun):
     result = spun["SO3xR3"]
     assert len(result.t) < FRAMES
     view = result.animate(trajectories=1, frames=7).scene["views"][0]
-    t, errors = decoded(view["t"], kind="<f8"), decoded(view["errors"]["position_error"])
+    t, errors = decoded(view["t"], kind="<f8"), decoded(view["values"]["position_error"])
     assert len(t) == 7
     assert (t[0], t[-1]) == (0.0, 0.5)
     column = result.history["position_error"].to_numpy().reshape(-1, 2)[:, 1]
@@ -461,6 +461,64 @@ def test_player_computes_as_python_does():
     np.testing.assert_allclose(held["point"], point + 7 * gap[3:], atol=1e-14)
     np.testing.assert_allclose(held["allowed"], point - gap[3:], atol=1e-14)
     np.testing.assert_allclose(body["p"] + rotation @ frame[:3, 3], held["point"], atol=1e-14)
+
+
+# A page without a browser: what the player draws is recorded, [canvas, colour, points].
+STUB = """
+const drawn = [], texts = [];
+const pen = (name) => { let p = []; return {
+  beginPath() { p = []; }, moveTo(x, y) { p.push([x, y]); }, lineTo(x, y) { p.push([x, y]); },
+  stroke() { drawn.push([name, this.strokeStyle, p]); }, fillText(t) { texts.push([name, t]); },
+  measureText: () => ({ width: 20 }), ...Object.fromEntries(["fill", "arc", "closePath",
+  "setLineDash", "setTransform", "clearRect", "strokeText", "drawImage", "save", "restore", "rect",
+  "clip", "fillRect"].map((x) => [x, () => 0])) }; };
+const element = (name, w = 0, h = 0) => ({ clientWidth: w, clientHeight: h, width: 0, height: 0,
+  style: {}, getContext: () => pen(name), addEventListener() {}, append() {} });
+const elements = {};
+global.document = { documentElement: {}, addEventListener() {},
+  querySelector: (name) => element(name, 800, name.includes("stage") ? 600 : 120),
+  getElementById: (id) => (id === "scene" ? { textContent: scene } : elements[id] ??= element(id)),
+  createElement: () => element("curves") };
+global.window = { matchMedia: () => ({ matches: true }) };
+window.parent = window;
+global.ResizeObserver = class { observe() {} };
+let frames = 0;
+global.requestAnimationFrame = (draw) => { if (!frames++) draw(0); };
+"""
+
+
+@lierb.observable(unit="m")
+def height(r):
+    return r[2]
+
+
+@pytest.mark.skipif(not NODE, reason="no node here")
+def test_player_draws_observables_and_the_axes_of_bodies():
+    body = lierb.bodies.box((0.1, 0.2, 0.3), mass=1.0)
+    flight = lierb.Problem(body, lierb.joints.free(), gravity=(0.0, 0.0, -9.81))
+    result = lierb.integrate(
+        flight.with_(observables=height()), twist0=(1.0, 0.0, 2.0, 0.5, 0.0, 3.0), dt=1e-2,
+        t_end=0.5, save_every=5, record="state",
+    )  # fmt: skip
+    scene = result.animate().scene
+    assert scene["curves"]["height"] == "height [m]"
+    script = (
+        f"const scene = {json.dumps(json.dumps(scene))};{STUB}"
+        f"require({json.dumps(str(PLAYER))});"
+        "console.log(JSON.stringify({ drawn, texts }))"
+    )
+    done = subprocess.run([NODE, "-e", script], capture_output=True, text=True, check=True)
+    found = json.loads(done.stdout)
+    (curve,) = [p for name, _, p in found["drawn"] if name == "curves" and len(p) == 11][-1:]
+    heights = result.history["height"].to_numpy()
+    x, y = np.array(curve).T
+    np.testing.assert_allclose(np.diff(x), np.diff(x)[0])  # equidistant times
+    slope = np.diff(y) / np.diff(heights)
+    np.testing.assert_allclose(slope, slope[0], rtol=1e-5)  # linear, in float32
+    assert slope[0] < 0.0  # a canvas counts downwards
+    assert ["curves", "height [m]"] in found["texts"]
+    colours = [colour for name, colour, _ in found["drawn"] if name.startswith("#stage")]
+    assert {"#c33", "#393", "#33c"} <= {*colours}
 
 
 def matrix_of(q: np.ndarray) -> np.ndarray:

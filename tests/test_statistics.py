@@ -274,6 +274,7 @@ def test_digest_of_a_study_without_a_rule_is_as_before():
     assert whole["sample"].pop("stop_when") is None
     for table in ("constraints", "observables", "events", "states", "controllers"):
         assert (whole["problem"].pop(table), whole["sample"].pop(table)) == ([], {})
+    assert whole["integrate"].pop("sensitivities") == []
     for key in ("atol", "dt_min", "dt_max", "max_steps", "save_at", "discontinuities"):  # of time
         assert whole["integrate"].pop(key) is None
     assert whole["integrate"].pop("rtol") == []

@@ -17,7 +17,7 @@ from lierb.methods import METHODS
 from lierb.model.forces import FORCE_UNITS
 from lierb.runs.options import Options
 from lierb.runs.stiffness import stiff_steps
-from lierb.studies.execution.stiff_steps import stiff_settings
+from lierb.studies.execution.foreseen import stiff_settings
 
 # Hairer and Wanner, Solving Ordinary Differential Equations II, IV.2: methods of p stages and order
 # p have R(z) = 1 + z + … + z^p/p!. Where |R| = 1 on the negative real axis:

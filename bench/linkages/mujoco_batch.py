@@ -15,7 +15,7 @@ from peers.mujoco_rollout import OFF
 from linkages import cases
 from linkages.cases import Form, Tree
 
-COUNTS = {2: 192, 3: 160, 5: 128, 8: 96}
+COUNTS = {2: 192, 3: 160, 5: 128, 8: 96, 20: 32}
 FORMS = {
     **{f"chain{n}": Form(f"chain{n}", "MuJoCo, RK4", count) for n, count in COUNTS.items()},
     "fourbar": Form("fourbar", "MuJoCo, RK4, connect", 96, allowed=1e-5),

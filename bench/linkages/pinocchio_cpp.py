@@ -23,7 +23,7 @@ from peers.cpp import CACHE
 from linkages import cases
 from linkages.cases import Form, Tree
 
-COUNTS = {2: 256, 3: 192, 5: 96, 8: 64}
+COUNTS = {2: 256, 3: 192, 5: 96, 8: 64, 20: 24}
 FORMS = {
     **{f"chain{n}": Form(f"chain{n}", "Pinocchio, ABA, RK4", c) for n, c in COUNTS.items()},
     "fourbar": Form("fourbar", "Pinocchio, constraint dynamics, RK4", 48, allowed=1e-6),

@@ -158,7 +158,7 @@ def _control(study: Study, dts: list[float], rtols: list[float]) -> dict[str, An
 def _left_out(study: Study) -> list[str]:
     """Return the keys of [integrate] that a comparison, of whole runs without saved rows, omits."""
     run = study.integrate
-    keys = ("dt_min", "dt_max", "max_steps", "save_every", "save_at", "record")
+    keys = ("dt_min", "dt_max", "max_steps", "save_every", "save_at", "record", "sensitivities")
     left = [key for key in keys if getattr(run, key) not in (None, [])]
     return [*left, "dt"] if run.is_adaptive and run.dt else left
 

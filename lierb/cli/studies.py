@@ -6,6 +6,7 @@ import os
 import shlex
 from collections.abc import Iterator
 from contextlib import contextmanager
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -170,8 +171,8 @@ def run(
     if report:
         require("report")  # before the run, not after it
     from lierb.studies.description.study import Study
+    from lierb.studies.execution.foreseen import foreseen
     from lierb.studies.execution.running import run as run_study
-    from lierb.studies.execution.stiff_steps import stiff_settings
 
     folder = folder_of(Path("results") / study.stem if out is None else out)
     _require_one_way(workers, scheduler, gather, report, only)
@@ -187,7 +188,7 @@ def run(
         from lierb.studies.findings.ranking import ranking_named
 
         ranking_named(loaded, rank_by)  # raises before the run, not after it
-    for message in stiff_settings(loaded):
+    for message in chain.from_iterable(foreseen(loaded).values()):
         click.secho(wrapped(message), fg="yellow", err=True)
     try:
         with _client(workers, scheduler) as client, warnings_collected():
@@ -349,11 +350,19 @@ def _report(
 
 
 def _show(dataset: Dataset, probabilities: tuple[float, ...]) -> None:
-    from lierb.studies.findings.findings import crossings, findings, indices, quantities
+    from lierb.studies.findings.findings import (
+        crossings,
+        findings,
+        indices,
+        linear_theories,
+        quantities,
+    )
+    from lierb.studies.findings.linear_theory import left_out
     from lierb.studies.findings.tables import (
         table_of,
         table_of_events,
         table_of_indices,
+        table_of_linear_theory,
         table_of_quantities,
     )
 
@@ -366,6 +375,11 @@ def _show(dataset: Dataset, probabilities: tuple[float, ...]) -> None:
     if sensitivities := indices(dataset):
         click.echo()
         print_whole(table_of_indices(sensitivities))
+    if theory := linear_theories(dataset, probabilities):
+        click.echo()
+        print_whole(table_of_linear_theory(theory))
+        for line in (*left_out(theory), *(each.warning for each in theory if each.warning)):
+            click.secho(wrapped(line), fg="yellow")
     done, total = len(dataset.parts), dataset.manifest["asked"]
     state = dataset.rest(f"the rest with: {_again(dataset, '--resume')}")
     click.echo(f"{dataset.folder}: {done} of {total} parts{state}")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from math import prod
 from typing import NamedTuple
 
@@ -66,6 +66,18 @@ class Sensitivities(NamedTuple):
             table, lead = self.history, (-1, self.summary.num_rows)
         shape = table.schema.field(column).metadata[SHAPE].decode()
         return as_array(table[column]).reshape(*lead, *map(int, shape.split(", ")))
+
+    def named(self, parameters: Sequence[str]) -> Sensitivities:
+        """Return the tables with other names of the parameters, in order."""
+        new = dict(zip(self.parameters, parameters, strict=True))
+
+        def renamed(table: pa.Table) -> pa.Table:
+            pairs = (name.partition(SEPARATOR) for name in table.column_names)
+            return table.rename_columns([f"{of}{by}{new.get(p, p)}" for of, by, p in pairs])
+
+        return Sensitivities(
+            renamed(self.summary), None if self.history is None else renamed(self.history)
+        )
 
 
 class Untabled:

@@ -57,14 +57,24 @@ class Derivatives(NamedTuple):
         return np.asarray(joined[:, directions.start - before : directions.stop - before])
 
 
-def require_differentiable(ready: Ready, parameters: tuple[Parameter, ...]) -> None:
-    """Raise ArgumentError for a run that has no derivatives, MemoryLimitError for one too large."""
+def require_differentiable(
+    ready: Ready, parameters: tuple[Parameter, ...], argument: str = "with_respect_to"
+) -> None:
+    """Raise ArgumentError for a run that has no derivatives, MemoryLimitError for one too large.
+
+    argument : of the parameters, for messages.
+    """
     for obstacle in (*_obstacles(ready), *_unfit_names(ready, parameters)):
-        raise ArgumentError(f"with_respect_to: {obstacle}")
-    numbers = derivatives_of(ready.plan).count * sum(p.size for p in parameters)
-    rows = (ready.times.saved_rows + 1) * ready.inputs.count
+        raise ArgumentError(f"{argument}: {obstacle}")
+    size = derivative_bytes(ready, parameters) * ready.inputs.count
     remedy = "take fewer parameters or trajectories at a time, or save less often"
-    require_memory(COPIES * 8 * numbers * rows, "the derivatives", remedy)
+    require_memory(size, "the derivatives", remedy)
+
+
+def derivative_bytes(ready: Ready, parameters: tuple[Parameter, ...]) -> int:
+    """Return the bytes of a trajectory's derivatives in memory, at the saved times and the end."""
+    numbers = derivatives_of(ready.plan).count * sum(p.size for p in parameters)
+    return COPIES * 8 * numbers * (ready.times.saved_rows + 1)
 
 
 def _obstacles(ready: Ready) -> Iterator[str]:
@@ -74,13 +84,6 @@ def _obstacles(ready: Ready) -> Iterator[str]:
         yield (
             "a run that continues from result.end keeps the state of the kernels, which has no "
             "derivatives by a start; begin with a copy of its poses, pose0=pose0.copy()"
-        )
-    for controller in ready.model.controllers:
-        yield f"the outputs of {controller.name} are not differentiated; leave controllers out"
-    if isinstance(plan, MechanismPlan) and plan.is_in_memory and events_of(plan):
-        yield (
-            'solver="looped" has no derivatives of events; take solver="unrolled", which is '
-            "compiled for this tree"
         )
     if not plan.is_explicit:
         name = ready.options.timing.method.name

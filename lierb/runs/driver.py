@@ -16,6 +16,7 @@ from lierb.compiler.entries import entry_of
 from lierb.kernels.loops.sharing import integrate_on_threads
 from lierb.kernels.stepping.clock import Clock
 from lierb.kernels.systems.plan import AnyPlan, MechanismPlan
+from lierb.kernels.systems.signals import events_of
 from lierb.kernels.systems.tree_table import table_of
 from lierb.kernels.tracing.memory import LINE
 from lierb.runs.inputs import Inputs
@@ -75,7 +76,7 @@ class Run(Generic[Clocks]):
         if not isinstance(plan, MechanismPlan) or not plan.is_in_memory:
             return {}
         table, rows = table_of(plan)
-        rows *= 1 + plan.directions
+        rows *= (1 + plan.directions) * (2 if plan.moving and events_of(plan) else 1)
         size = 8 * rows * plan.lanes * self.threads
         require_memory(size, f"memory for {plan.links} links", "lower threads= of lierb.integrate")
         return {"table": table, "memory": _aligned(rows, plan.lanes)}

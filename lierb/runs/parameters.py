@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from lierb.errors import ArgumentError, LierbError, brief, items_of, unknown_name
-from lierb.kernels.mechanics.elements import INITIAL
+from lierb.kernels.mechanics.elements import EVERY, INITIAL, UserController
 from lierb.kernels.mechanics.rows import parameters_of
 from lierb.kernels.systems.layout import INPUTS
 from lierb.model.acting import ELEMENTS
@@ -61,37 +61,44 @@ def slices_of(parameters: Iterable[Parameter]) -> dict[str, slice]:
     return slices
 
 
-def chosen_parameters(model: Model, given: Any) -> tuple[Parameter, ...]:
-    """Return the parameters of the argument `with_respect_to`. Raises ArgumentError."""
+def parameters_by_name(model: Model) -> dict[str, Parameter]:
+    """Return all parameters of a model."""
+    return {p.name: p for p in _parameters(model)}
+
+
+def chosen_parameters(
+    model: Model, given: Any, argument: str = "with_respect_to"
+) -> tuple[Parameter, ...]:
+    """Return the parameters of an argument with their names. Raises ArgumentError."""
     expected = "names of parameters, such as omega0 or body.mass"
-    names = (given,) if isinstance(given, str) else items_of("with_respect_to", given, expected)
-    known = {p.name: p for p in _parameters(model)}
+    names = (given,) if isinstance(given, str) else items_of(argument, given, expected)
+    known = parameters_by_name(model)
     parameters: dict[str, Parameter] = {}
     for name in names:
         if isinstance(name, Parameter):  # of fits, with directions of their own
             parameters[name.name] = name
             continue
         if not isinstance(name, str):
-            raise ArgumentError(f"with_respect_to has {brief(name)}; expected {expected}")
+            raise ArgumentError(f"{argument} has {brief(name)}; expected {expected}")
         table, _, rest = name.partition(".")
         key = rest if table in OF_LISTS and name not in known else name
         if key not in known:
-            raise _unknown(model, name, known)
+            raise _unknown(model, argument, name, known)
         if key in parameters:
-            raise ArgumentError(f"with_respect_to names {key} twice; name it once")
+            raise ArgumentError(f"{argument} names {key} twice; name it once")
         parameters[key] = known[key]
     return tuple(parameters.values())
 
 
-def _unknown(model: Model, name: str, known: dict[str, Parameter]) -> LierbError:
+def _unknown(model: Model, argument: str, name: str, known: dict[str, Parameter]) -> LierbError:
     for element, label, _ in labelled(model):
-        for parameter in element.kind.discontinuities:
+        for parameter in _times(element):
             if name == f"{label}.{parameter}":
                 return ArgumentError(
-                    f"with_respect_to={brief(name)} is a time at which {element.name} jumps, by "
-                    "which the motion is not differentiated; leave it out"
+                    f"{argument}={brief(name)} determines times at which {element.name} "
+                    "jumps, by which the motion is not differentiated; leave it out"
                 )
-    return unknown_name("with_respect_to", name, known)
+    return unknown_name(argument, name, known)
 
 
 def _parameters(model: Model) -> Iterator[Parameter]:
@@ -127,7 +134,7 @@ def _of_joints(model: Model) -> Iterator[Parameter]:
 
 def _of_element(model: Model, element: Element, label: str, field: str) -> Iterator[Parameter]:
     for name, shape in element.kind.shapes.items():
-        if name in element.kind.discontinuities:
+        if name in _times(element):
             continue
         short, unit = element.short(name), _unit(element, name)
         seeds = {f"{field}{name}": np.eye(prod(shape))[:, None]}
@@ -135,6 +142,12 @@ def _of_element(model: Model, element: Element, label: str, field: str) -> Itera
             yield _geometric(model, f"{label}.{short}", unit, seeds)
         else:
             yield _plain(f"{label}.{short}", f"{field}{name}", np.eye(prod(shape)), unit)
+
+
+def _times(element: Element) -> tuple[str, ...]:
+    """Return the parameters of an element that determine times at which it jumps."""
+    period = (EVERY,) if isinstance(element.kind, UserController) else ()
+    return (*element.kind.discontinuities, *period)
 
 
 def _unit(element: Element, parameter: str) -> str:

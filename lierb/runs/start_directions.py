@@ -238,7 +238,7 @@ def carried(
             outside = se3.compose(poses[at.parent], p.ground)
         relative = mechanism.relative(at, placed)
         poses[i] = se3.compose(se3.compose(outside, relative), se3.inverse(p.body))
-        own = mechanism.relative_twist(at, placed, moving)
+        own = mechanism.relative_twist(at, relative, moving)
         if at.parent != NOWHERE:
             in_parent = se3.compose(p.ground, relative)
             moved = se3.Ad(se3.inverse(in_parent), twists[at.parent])

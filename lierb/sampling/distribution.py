@@ -40,6 +40,11 @@ class Distribution:
     def dimension(self) -> int:
         return prod(self.shape)
 
+    @property
+    def moments(self) -> tuple[Array, Array]:
+        """Mean, shape (components,), and covariance, (components, components), of a draw."""
+        raise NotImplementedError
+
     def draw(self, u: ArrayLike) -> Array:
         """Compute values at points of the unit cube.
 
@@ -72,6 +77,11 @@ class Distribution:
     def _draw(self, u: Array) -> Array:
         """Compute (components, n) from uniforms (dimension, n), element by element."""
         raise NotImplementedError
+
+    def _independent(self, mean: Array, variance: Array) -> tuple[Array, Array]:
+        """Return the moments of independent components."""
+        centre, spread = (np.broadcast_to(x, self.shape).flatten() for x in (mean, variance))
+        return centre, np.diag(spread)
 
     def _column(self, parameter: Array) -> Array:
         """Return a parameter as a column, one row a component."""

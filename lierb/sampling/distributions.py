@@ -56,6 +56,10 @@ class Constant(Distribution):
     def _draw(self, u: Array) -> Array:
         return np.repeat(self.value.reshape(-1, 1), u.shape[1], axis=1)
 
+    @property
+    def moments(self) -> tuple[Array, Array]:
+        return self._independent(self.value, np.zeros(()))
+
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
 class Uniform(Distribution):
@@ -90,6 +94,11 @@ class Uniform(Distribution):
     def _draw(self, u: Array) -> Array:
         low, high = self._column(self.low), self._column(self.high)
         return np.minimum(low + (high - low) * u, high)  # rounding may pass it by an ulp
+
+    @property
+    def moments(self) -> tuple[Array, Array]:
+        width = self.high - self.low
+        return self._independent(self.low + 0.5 * width, width**2 / 12.0)
 
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
@@ -134,6 +143,11 @@ class Direction(Distribution):
         unit = np.stack((across * np.cos(azimuth), across * np.sin(azimuth), 1.0 - 2.0 * u[0]))
         return unit * self.length._draw(u[2:])
 
+    @property
+    def moments(self) -> tuple[Array, Array]:
+        mean, variance = self.length.moments
+        return np.zeros(3), np.eye(3) * (mean**2 + variance[0]) / 3.0
+
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
 class Rotation(Distribution):
@@ -175,6 +189,10 @@ class Rotation(Distribution):
             x2 * z - y2 * w, y2 * z + x2 * w, 1.0 - (x2 * x + y2 * y),
         )  # fmt: skip
         return np.stack(so3.orthonormalised(matrix))
+
+    @property
+    def moments(self) -> tuple[Array, Array]:
+        return np.zeros(9), np.eye(9) / 3.0  # E RᵢⱼRₖₗ = δᵢₖδⱼₗ/3, by invariance
 
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
@@ -218,6 +236,12 @@ class Values(Distribution):
     def take(self, levels: NDArray[np.int64]) -> Array:
         """Return the values at these indices, (n, *shape)."""
         return self.values[levels]
+
+    @property
+    def moments(self) -> tuple[Array, Array]:
+        flat = self.values.reshape(len(self), -1)
+        off = flat - flat.mean(axis=0)
+        return flat.mean(axis=0), off.T @ off / len(self)
 
 
 DISTRIBUTIONS = {  # by their names in studies

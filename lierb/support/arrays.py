@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lierb.errors import ArgumentError, LierbError, MemoryLimitError, PoseError, body_label, brief
-from lierb.kernels.numbers.vec import Mat, Vec, dot, mat_t_mat
+from lierb.kernels.numbers.vec import Mat, Vec, cross, dot, mat_t_mat
 from lierb.support.memory import require_memory
 
 Array = NDArray[np.float64]
@@ -338,10 +338,11 @@ def check_rotations(argument: str, matrices: Array) -> None:
     first = 0
     for part in slices(_unequal(matrices.reshape(-1, 3, 3))):
         with np.errstate(all="ignore"):  # large entries may overflow
-            r = components(part, 2)
+            r: Vec = tuple(np.ascontiguousarray(part.reshape(-1, 9).T))
             excess = tuple(g - float(i % 4 == 0) for i, g in enumerate(mat_t_mat(r, r)))
             errors = np.sqrt(dot(excess, excess))
-            bad = ~((errors <= ROTATION_TOLERANCE) & (np.linalg.det(part) > 0.0))  # NaN is bad
+            volume = dot(r[:3], cross(r[3:6], r[6:]))
+            bad = ~((errors <= ROTATION_TOLERANCE) & (volume > 0.0))  # NaN is bad
         for body in np.flatnonzero(bad)[:1]:
             error = errors[body]
             size = f"{error:.2g}" if np.isfinite(error) else "beyond all numbers"

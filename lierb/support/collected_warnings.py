@@ -12,7 +12,7 @@ _are_collected: ContextVar[bool] = ContextVar("are_warnings_collected", default=
 
 @contextmanager
 def warnings_collected() -> Iterator[None]:
-    """Suppress warnings of failures and stiff steps; the caller issues one for all runs."""
+    """Suppress warnings of failures, stiff steps and switches; the caller issues one for all."""
     token = _are_collected.set(True)
     try:
         yield

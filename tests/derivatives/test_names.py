@@ -93,11 +93,6 @@ def test_a_joint_with_a_pitch_has_it_as_a_parameter():
 # ---- refusals ----------------------------------------------------------------------------------
 
 
-@lierb.controller
-def still(t):
-    return {"torque": 0.0 * t}
-
-
 @lierb.wrench(stop=1.0, discontinuities="stop")
 def burn(t, R, r, omega, v, params):
     return (0.0, 0.0, 0.0), (lierb.where(t < params.stop, 1.0, 0.0), 0.0, 0.0)
@@ -113,10 +108,6 @@ def refused(problem, message, names="twist0", **options):
         lierb.integrate(problem, **(start | RUN | options), with_respect_to=names)
 
 
-def test_controllers_are_refused_by_name():
-    refused(free_body(controllers=still(every=0.1)), "the outputs of still are not differentiated")
-
-
 def test_functions_that_run_body_by_body_are_refused_by_name():
     @lierb.wrench
     def branching(t, R, r, omega, v):
@@ -128,7 +119,9 @@ def test_functions_that_run_body_by_body_are_refused_by_name():
 
 
 def test_times_of_jumps_are_refused_by_name():
-    refused(free_body(forces=burn()), "burn.stop.* is a time at which burn jumps", "burn.stop")
+    refused(
+        free_body(forces=burn()), "burn.stop.* determines times at which burn jumps", "burn.stop"
+    )
 
 
 def test_a_centre_of_mass_on_another_cspace_is_refused():

@@ -8,7 +8,6 @@ from mechanisms.test_looped_constraints import chain, driven
 from mechanisms.test_tree_loop import SIX, start_of, tree_of
 
 import lierb
-from lierb.errors import ArgumentError
 from lierb.kernels.numbers.dual import Dual
 from lierb.kernels.stepping.method import Interval
 from lierb.kernels.stepping.method_of import method_of
@@ -167,12 +166,26 @@ def test_a_direction_does_not_depend_on_the_others_nor_its_place_on_the_batch():
     np.testing.assert_array_equal(found, alone.sensitivity("link9.twist", STIFFNESS)[:, 0])
 
 
-@lierb.event
-def passes(r):
-    return r[0]
+@lierb.event(terminal=True, level=0.0)
+def passes(r, params):
+    return r[0] - params.level
 
 
-def test_events_are_refused_by_name():
-    model = arm().with_(events=passes().on("link9"))
-    with pytest.raises(ArgumentError, match='solver="looped" has no derivatives of events'):
-        lierb.integrate(model, **moving(model), rtol=1e-6, t_end=0.1, with_respect_to=[STIFFNESS])
+@pytest.mark.slow
+def test_ends_at_events_change_as_by_differences():
+    """A link crosses a plane: time and state there, by a spring and by the place of the plane."""
+    model = arm().with_(events=passes(level=-0.1).on("link9"))
+    options = {"rtol": 1e-11, "t_end": 2.0}
+    names = (STIFFNESS, "link9.passes.level")
+    result = lierb.integrate(model, **moving(model), **options, with_respect_to=names)
+    for name, middle, step in ((names[0], 20.0, 1e-3), (names[1], -0.1, 1e-5)):
+        changed = model.with_({name: [middle - step, middle + step]})
+        ends = lierb.integrate(changed, **moving(model), **options).summary
+        assert ends["status"].to_pylist() == ["event", "event"]
+        times = ends["t"].to_numpy()
+        rates = np.array(ends["link3.omega"].to_pylist())
+        found = result.sensitivity("t", name)[0, 0]
+        assert found == pytest.approx((times[1] - times[0]) / (2.0 * step), rel=1e-5)
+        expected = (rates[1] - rates[0]) / (2.0 * step)
+        twist = result.sensitivity("link3.twist", name)[0, :3, 0]
+        np.testing.assert_allclose(twist, expected, rtol=1e-5, atol=1e-6)  # of differences

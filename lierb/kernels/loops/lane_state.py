@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import islice
 from typing import Any, NamedTuple
 
 from lierb.kernels.functions.function import size_of
@@ -42,7 +43,12 @@ from lierb.kernels.stepping.lane_clock import (
 )
 from lierb.kernels.stepping.step_size import Tolerances
 from lierb.kernels.systems.combine import NAN
-from lierb.kernels.systems.derivatives import on_values
+from lierb.kernels.systems.derivatives import (
+    completed,
+    on_values,
+    parts_side_by_side,
+    with_parts,
+)
 from lierb.kernels.systems.extra_states import Control, with_signals
 from lierb.kernels.systems.layout import LANE_END
 from lierb.kernels.systems.plan import AnyPlan
@@ -94,16 +100,21 @@ def put_rows(plan: AnyPlan, rows: Any, first: int, numbers: Any) -> None:
 def load_lanes(plan: AnyPlan, body: Any, carried: Any) -> Lanes:
     state, record = load_carried(plan, body, carried, 0)
     columns = carried_columns(plan)
-    clock, *control = (
+    clock, *control, parts = (
         [row_of(plan, carried, row) for row in range(columns[name].start, columns[name].stop)]
-        for name in ("clock", *Control._fields)
+        for name in ("clock", *Control._fields, "control_parts")
     )
-    return Lanes(state, record, LaneClock(*clock), Control(*map(tuple, control)))
+    rest = iter(with_parts(plan, [x for numbers in control for x in numbers], parts))
+    controls, memory, ticks = (tuple(islice(rest, len(numbers))) for numbers in control)
+    return Lanes(state, record, LaneClock(*clock), Control(controls, memory, values(ticks)))
 
 
 def store_lanes(plan: AnyPlan, body: Any, carried: Any, lanes: Lanes) -> None:
     store_carried(plan, body, carried, 0, lanes.state, lanes.record)
-    put_rows(plan, carried, carried_columns(plan)["clock"].start, (lanes.clock, lanes.control))
+    columns, control = carried_columns(plan), lanes.control
+    put_rows(plan, carried, columns["clock"].start, (lanes.clock, values(control)))
+    if plan.moving:
+        put_rows(plan, carried, columns["control_parts"].start, tuple(parts_side_by_side(control)))
 
 
 # ---- exception flags of functions that are called body by body ----
@@ -151,16 +162,16 @@ def started(
     plan: AnyPlan, body: Any, state: State, rows: Any, span: Span, limits: Tolerances
 ) -> Lanes:
     """Return the lanes before the first tick."""
-    whole, body, state = state, values(body), values(state)
     due = row_of(plan, rows, DUE)
     zero = 0.0 * row_of(plan, rows, NOISE_INDEX)
     system, periods = system_of(plan), periods_of(plan, body)
     control = Control(
-        (zero,) * size_of(outputs_of(plan)),
-        tuple(zero + x for x in system.initial_memory(body)) if periods else (),
+        completed(plan, (zero,) * size_of(outputs_of(plan))),
+        completed(plan, tuple(zero + x for x in system.initial_memory(body))) if periods else (),
         tuple(zero + _first_tick(span.start, period) for period in periods),
     )
-    body = with_signals(plan, body, state, control)
+    whole, body, state = state, values(body), values(state)
+    body = with_signals(plan, body, state, values(control))
     clock = first_clock(plan, body, state, span, limits, zero)._replace(due=due)
     return Lanes(whole, initial_record(plan, body, state), clock, control)
 
@@ -202,11 +213,11 @@ def put_shown(
     """Store the quantities of a state that tables show."""
     if plan.is_looped:
         first = in_memory(plan).put_links(body, shown, lanes.record.status == OK)
-        for i, number in enumerate((*state.states, *lanes.control.controls)):
+        for i, number in enumerate(values((*state.states, *lanes.control.controls))):
             put_row(plan, shown, first + i, number)
         return
     links = user_state(plan, body, inputs, state, lanes.record)
-    put_rows(plan, shown, 0, (*links, values(state.states), lanes.control.controls))
+    put_rows(plan, shown, 0, (*links, *values((state.states, lanes.control.controls))))
 
 
 @on_values
@@ -228,7 +239,7 @@ def store_lane_end(plan: AnyPlan, body: Any, lanes: Lanes, ends: Any) -> None:
     if plan.is_looped:
         first = in_memory(plan).end_columns(body)
     first = first + int(plan.keeps_rank)
-    for row, number in enumerate(flatten((own, lanes.control))):
+    for row, number in enumerate(flatten((own, values(lanes.control)))):
         put_row(plan, ends, first + row, number)
 
 

@@ -59,6 +59,7 @@ from lierb.kernels.stepping.step_size import (
 )
 from lierb.kernels.stepping.travel import longest_step
 from lierb.kernels.systems.combine import NAN
+from lierb.kernels.systems.derivatives import completed, on_values
 from lierb.kernels.systems.extra_states import Control, with_signals
 from lierb.kernels.systems.observables import Kept, observables_of, with_value
 from lierb.kernels.systems.plan import AnyPlan
@@ -276,18 +277,24 @@ def _controlled(
         noise = Noise(seed, stream, tick)
         controls, memory = system.controlled(at, seen, clock.t, number, noise)
         control = Control(
-            _set(control.controls, output_slices(plan)[number], controls, due),
-            _set(control.memory, memory_slices(plan)[number], memory, due),
-            _set(control.ticks, slice(number, number + 1), (tick + 1.0,), due),
+            _set(plan, control.controls, output_slices(plan)[number], controls, due),
+            _set(plan, control.memory, memory_slices(plan)[number], memory, due),
+            _set_tick(control.ticks, number, tick + 1.0, due),
         )
     return control
 
 
-def _set(numbers: Vec, part: slice, new: Any, mask: Any) -> Vec:
-    changed = tuple(where(mask, plain(x), old) for x, old in zip(new, numbers[part], strict=True))
+def _set(plan: AnyPlan, numbers: Vec, part: slice, new: Any, mask: Any) -> Vec:
+    pairs = zip(completed(plan, new), numbers[part], strict=True)
+    changed = tuple(where(mask, plain(x), old) for x, old in pairs)
     return numbers[: part.start] + changed + numbers[part.stop :]
 
 
+def _set_tick(ticks: Vec, number: int, new: Any, mask: Any) -> Vec:
+    return tuple(where(mask, new, old) if i == number else old for i, old in enumerate(ticks))
+
+
+@on_values
 def _observed(plan: AnyPlan, body: Any, lanes: Lanes, half: Any) -> tuple[Kept, ...]:
     """Return the statistics of the observables, with their current values added.
 
@@ -339,7 +346,7 @@ def with_measures(
     record = where(now, seen, without_measures(plan, record, seen))
     restore_exceptions(plan, flags, mask)
     clock = clock._replace(seen=where(now, clock.t, clock.seen))
-    row = (*shown, *values(lanes.state.states), *lanes.control.controls)
+    row = (*shown, *values((*lanes.state.states, *lanes.control.controls)))
     return row, lanes._replace(record=record, clock=clock)
 
 

@@ -30,7 +30,7 @@ from lierb.kernels.systems.derivatives import (
     seeded,
     with_parts,
 )
-from lierb.kernels.systems.layout import DIRECTIONS, LANE_SUMMARY, Columns, Field
+from lierb.kernels.systems.layout import LANE_SUMMARY, Columns, Field
 from lierb.kernels.systems.measures import (
     JOINT_ERRORS,
     JOINT_KEPT,
@@ -86,12 +86,14 @@ def carried_columns(plan: AnyPlan) -> Columns:
         Field("first_energy"), Field("status"), Field("failed_step"), Field("dropped"),
         Field("flags"), Field("observed", (len(Kept._fields) * len(observables_of(plan)),)),
         Field("joints", (joint_columns(plan),)),
-        Field("parts", (DIRECTIONS * system_of(plan).state.count * bool(plan.moving),)),
+        Field("parts", (plan.directions * system_of(plan).state.count,)),
     )  # fmt: skip
     if not plan.has_lane_clocks:
         return Columns(*columns)
     clock = Field("clock", (len(LaneClock._fields),))
-    return Columns(*columns, clock, *controller_fields(plan))
+    controllers = controller_fields(plan)
+    parts = Field("control_parts", (plan.directions * Columns(*controllers).count,))
+    return Columns(*columns, clock, *controllers, parts)
 
 
 def carried_rows(plan: AnyPlan) -> int:

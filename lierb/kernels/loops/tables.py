@@ -167,7 +167,13 @@ def store_end_derivatives(
     if not plan.moving:
         return
     count = _store_parts(plan, body, inputs, state, record, array, (column,), time)
-    if events_of(plan):
+    if events_of(plan) and plan.is_looped:
+        loop, body = in_memory(plan), with_rank(plan, body, record)
+        moved_body, moved = loop.moved_in_time(body, state, time)
+        time = Dual(time, (1.0, *(0.0,) * (plan.directions - 1)))
+        alive = record.status == OK
+        loop.store_derivatives(moved_body, moved, array, (column,), time, alive, in_time=True)
+    elif events_of(plan):
         body, state, system = values(body), values(state), system_of(plan)
         moved, time = in_time(system, body, state, time), Dual(time, (1.0,))
         _store_parts(plan, body, inputs, moved, record, array, (column,), time, count)

@@ -417,6 +417,7 @@ def _nudged(given: Any) -> Any:
     return tuple(plain(x) - size if i % 2 else plain(x) + size for i, x in enumerate(given))
 
 
+EVERY = "every"  # parameter of a controller: its period, s
 INITIAL = "initial."  # prefix of the names of initial values among the parameters
 
 
@@ -538,12 +539,12 @@ class UserController(_Starting):
 
     @property
     def shapes(self) -> dict[str, Shape]:
-        return {"every": (), **super().shapes}
+        return {EVERY: (), **super().shapes}
 
     def placed(self, given: dict[str, Any], frames: Frames) -> tuple[Any, ...]:
         """Return the frame, the parameters, the initial values, and the period."""
-        rest = {name: x for name, x in given.items() if name != "every"}
-        return *super().placed(rest, frames), given["every"]
+        rest = {name: x for name, x in given.items() if name != EVERY}
+        return *super().placed(rest, frames), given[EVERY]
 
     def every(self, placed: Any) -> Any:
         """Period, s."""

@@ -14,7 +14,6 @@ from functools import lru_cache, wraps
 from itertools import islice
 from typing import Any
 
-from lierb.kernels.functions.function import size_of
 from lierb.kernels.numbers.arithmetic import alike, flatten
 from lierb.kernels.numbers.dual import Dual, parts_of, value_of, values
 from lierb.kernels.numbers.vec import Vec, mat_t_mat, mat_t_vec
@@ -22,7 +21,7 @@ from lierb.kernels.numbers.zero import ZERO, is_zero
 from lierb.kernels.systems.layout import DIRECTIONS, Columns, Field
 from lierb.kernels.systems.observables import observables_of
 from lierb.kernels.systems.plan import AnyPlan
-from lierb.kernels.systems.signals import events_of, states_of
+from lierb.kernels.systems.signals import events_of, signals_width
 from lierb.kernels.systems.state import Slopes, State, Units
 
 
@@ -92,12 +91,12 @@ def parts_side_by_side(numbers: Any, directions: int = DIRECTIONS) -> list[Any]:
 def derivative_columns(plan: AnyPlan, links: int, joints: int) -> Columns:
     """Return the columns of the differentiated quantities of a state.
 
-    Of each link C⁻¹∂C and the change of its twist; extra states, energy, observables; λ and
-    reactions if they are recorded; values of events.
+    Of each link C⁻¹∂C and the change of its twist; extra states and outputs of controllers, energy,
+    observables; λ and reactions if they are recorded; values of events.
     """
     return Columns(
         Field("links", (12 * links,)),
-        Field("states", (size_of(states_of(plan)),)),
+        Field("signals", (signals_width(plan),)),
         Field("energy"),
         Field("observables", (len(observables_of(plan)),)),
         Field("multipliers", (plan.multipliers * len(plan.rows),)),
@@ -121,7 +120,7 @@ def differentiated(
     if plan.multipliers or plan.reaction:
         forces = system.forces(body, state, time)
     rest = (
-        state.states, energy, system.observed(body, seen, time),
+        state.states, body.signals.controls, energy, system.observed(body, seen, time),
         forces[0] if plan.multipliers else (), tuple(forces[1]) if plan.reaction else (),
         system.events(body, seen, time) if events_of(plan) else (),
     )  # fmt: skip
@@ -141,14 +140,14 @@ def moved_in_body(link: Vec, directions: int) -> tuple[Any, ...]:
     return tuple(x for of_number in zip(*along, strict=True) for x in of_number)
 
 
-def in_time(system: Any, body: Any, state: State, time: Any) -> State:
-    """Make an explicit Euler step of length 0 + ε: the only part is the time derivative.
+def in_time(system: Any, body: Any, state: State, time: Any, directions: int = 1) -> State:
+    """Make an explicit Euler step of length 0 + ε: the first part is the time derivative.
 
-    body, state : without derivatives.
+    body, state : without derivatives.   directions : number of parts; others are zero.
     """
     still = system.combine(body, state, (), Slopes(), Units(0.0, 0.0, 0.0))
     rates = system.stage_rates(body, still, system.chart_gravity(body, state.chart), time)
-    h = Dual(0.0 * time, (1.0,))
+    h = Dual(0.0 * time, (1.0, *(0.0,) * (directions - 1)))
     moved: State = system.combine(
         body, state, (1.0,), Slopes().with_stage(rates), Units(0.5 * h, h, h)
     )

@@ -15,17 +15,27 @@ from typing import Any
 from lierb.kernels.mechanics import tree_nodes
 from lierb.kernels.mechanics.tree_nodes import Kind
 from lierb.kernels.numbers.arithmetic import flatten, scatter, sqrt, store, where
+from lierb.kernels.numbers.dual import values
 from lierb.kernels.numbers.zero import is_zero
 from lierb.kernels.systems import tree_places as at
 from lierb.kernels.systems.combine import NAN
-from lierb.kernels.systems.derivatives import moved_in_body, parts_side_by_side
+from lierb.kernels.systems.derivatives import (
+    completed,
+    in_time,
+    moved_in_body,
+    parts_side_by_side,
+)
 from lierb.kernels.systems.layout import POSE_AND_TWIST
 from lierb.kernels.systems.measures import JOINT_ERRORS, JOINT_KEPT
+from lierb.kernels.systems.observables import observables_of
+from lierb.kernels.systems.signals import events_of, signals_width
 from lierb.kernels.systems.state import State
 from lierb.kernels.systems.tree_loop_forces import LoopForces
 from lierb.kernels.systems.tree_memory import LoopBody, MemoryNode, MemoryTree
 from lierb.kernels.tracing.arrays import Index
 from lierb.kernels.tracing.memory import for_each
+
+PLACES = ("table", "memory")  # addresses of a `LoopBody`
 
 
 class TreeLoop(LoopForces):
@@ -102,37 +112,42 @@ class TreeLoop(LoopForces):
         place: tuple[Any, ...],
         time: Any,
         alive: Any,
+        in_time: bool = False,
     ) -> None:
         """Store the derivatives of `lierb.kernels.systems.derivatives.derivative_columns`; NaN
         where not alive.
 
-        array : [column, direction][place].
+        array : [column, direction][place]; with `in_time`, those of the first direction are stored
+            behind all others, [column][place].
         """
         tree, directions = self._tree(body), self.plan.directions
+        stored, start = directions, tree.index(0)
+        if in_time:
+            stored, start = 1, self._columns(tree) * directions
 
-        def put(first: Index, parts: Sequence[Any]) -> None:
-            shown = [where(alive, x, NAN) for x in parts]
-            places = [(first + c, *place) for c in range(len(shown))]
+        def put(column: Index, parts: Sequence[Any]) -> None:
+            shown = [where(alive, x, NAN) for i, x in enumerate(parts) if i % directions < stored]
+            places = [(start + column * stored + c, *place) for c in range(len(shown))]
             if shown:
                 scatter(array, len(place), places, shown, self.plan.lanes)
 
         def put_at(column: Index, numbers: Any) -> None:
-            put(column * directions, parts_side_by_side(numbers, directions))
+            put(column, parts_side_by_side(numbers, directions))
 
         seen = self.motion(body, state, time)
 
         def link(node: MemoryNode) -> None:
             numbers = tree_nodes.in_user_frame(node.details, node.motion)
-            first = node.entry(at.LINK) * (12 * directions)
-            put(first, moved_in_body(numbers, directions))
+            put(node.entry(at.LINK) * 12, moved_in_body(numbers, directions))
 
         tree.for_links(link)
         column = tree[at.LINKS] * 12
         energy = self.measured(body, state, seen, time).values["energy"]
-        scalars = (*state.states, energy, *self.observed(body, seen, time))
+        scalars = (*state.states, *body.signals.controls, energy, *self.observed(body, seen, time))
         put_at(column, scalars)
         column = column + len(scalars)
         rows = tree[at.ROWS] * int(self.plan.multipliers)
+        put_at(column + rows + self._reactions(tree), self.events(body, seen, time))
         if self.plan.multipliers or self.plan.reaction:
             self.put_forces(
                 body,
@@ -140,6 +155,34 @@ class TreeLoop(LoopForces):
                 lambda number, numbers: put_at(column + number, numbers),
                 lambda joint, wrench: put_at(column + rows + joint * 6, wrench),
             )
+
+    def _reactions(self, tree: MemoryTree) -> Index:
+        """Return the number of columns of reactions."""
+        return tree[at.JOINTS] * (6 * int(self.plan.reaction))
+
+    def _columns(self, tree: MemoryTree) -> Index:
+        """Return the number of differentiated quantities."""
+        scalars = signals_width(self.plan) + 1 + len(observables_of(self.plan))
+        numbers = tree[at.LINKS] * 12 + (scalars + len(events_of(self.plan)))
+        return numbers + tree[at.ROWS] * int(self.plan.multipliers) + self._reactions(tree)
+
+    def moved_in_time(self, body: LoopBody, state: State, time: Any) -> tuple[LoopBody, State]:
+        """Return body and state with their derivatives in time as first direction.
+
+        Their numbers are in the second half of the memory.
+        """
+        tree, body, state = self._tree(body).values, values(body), values(state)
+        packs, plan = 1 + self.plan.directions, self.plan
+        memory = body.memory + tree[at.MEMORY] * (8 * packs * plan.lanes)
+        kept = {
+            name: completed(plan, x) for name, x in body._asdict().items() if name not in PLACES
+        }
+        body = body._replace(memory=memory, **kept)
+        rows, own = tree.rows(0), self._tree(body).rows(0)
+        for_each(tree[at.MEMORY], lambda i: own.put(i, rows[i]))
+        moved = in_time(self, body, completed(plan, state), time, plan.directions)
+        self.take_next(body, 1.0 + 0.0 * values(body.mass))
+        return body, moved
 
     def store_end(self, body: LoopBody, state: State, ends: Any, column: Any) -> None:
         """Store the state for a run that continues: charts, V_rel, extra states."""

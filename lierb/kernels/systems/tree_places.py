@@ -22,8 +22,9 @@ from lierb.kernels.systems.measures import JOINT_ERRORS
     # loads on the nodes, wrenches of the joints, rows of the elements, and a motion of each.
     LOADS_ROW, WRENCH_ROW, ELEMENT_ROWS, TRAVEL_ROW,
     # Numbers of a state; rows from a state to the one that a step leads to, 0 for one in its place;
-    # a copy of that. Numbers of a state at the end of a run, and column of a lane's end in inputs.
-    STATE, AHEAD, COPY_ROW, END_COLUMNS, LANE_COLUMN,
+    # a copy of that. Numbers of a state at the end of a run; column of a lane's end in inputs; rows
+    # of the memory.
+    STATE, AHEAD, COPY_ROW, END_COLUMNS, LANE_COLUMN, MEMORY,
     # Numbers and places of constraints, of their equations, and of pairs of them on one path;
     CONSTRAINTS, CONSTRAINT_TABLE, EQUATIONS, EQUATION_TABLE, PAIRS, PAIR_TABLE,
     # first rows of their constants; of u and of (SᵀIS)⁻¹u of the equations; of two wrenches of each
@@ -31,7 +32,7 @@ from lierb.kernels.systems.measures import JOINT_ERRORS
     # X by which a projection moves.
     CONSTRAINT_ROWS, LEFT_ROW, WALK_ROW, SCHUR_ROW, LOWER_ROW, SCALED_ROW, VECTOR_ROWS, OFF_ROW,
     HEADER,
-) = range(54)  # fmt: skip
+) = range(55)  # fmt: skip
 # A node's numbers: its kind and that of its joint; its role, and the first node of its joint; its
 # parent; rows of its chart; its first freedom; rows of what it passes on, of what its children pass
 # on, and of what its next sibling passes on, or 0; its link, or that of the next node for a

@@ -77,6 +77,7 @@ def table_of(plan: MechanismPlan) -> tuple[NDArray[np.int64], int]:
     end = 0
     for section, size in sizes.items():
         header[section], end = end, end + size
+    header[at.MEMORY] = end
     header[at.STATE] = charts + freedoms
     header[at.AHEAD] = header[at.AHEAD] - header[at.CHART_ROW] if plan.has_lane_clocks else 0
     header[at.END_COLUMNS] = sum(map(sum, map(_stored, kinds))) + extra

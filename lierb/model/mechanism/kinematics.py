@@ -7,6 +7,7 @@ D = G⁻¹ C_parent⁻¹ C B. Its rows act on D⁻¹Ḋ = Ad(B⁻¹) V − Ad(D�
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -19,6 +20,7 @@ from lierb.kernels.numbers.vec import ZERO6, Vec, add, sub
 from lierb.model.base import numbers_of, parameters_of
 from lierb.model.connections import NOWHERE, Connection
 from lierb.model.joints.coordinates import is_pose, is_rigid, motions_of, relative_of
+from lierb.model.joints.joint import Joint
 from lierb.model.joints.motions import as_coordinates
 from lierb.model.mechanism.links import ByLink
 from lierb.model.mechanism.tree import Tree
@@ -44,7 +46,16 @@ class TreeKinematics(Tree):
 
     def parameters(self, at: Connection) -> Parameters:
         """Return the parameters of a connection's body and frames; gravity is in ground axes."""
-        return parameters_of(self.links[at.body].body, at.joint, self.gravity)
+        key = at.body, id(at.joint)
+        if key not in self._parameters:
+            own = parameters_of(self.links[at.body].body, at.joint, self.gravity)
+            self._parameters[key] = own, at.joint
+        return self._parameters[key][0]
+
+    @cached_property
+    def _parameters(self) -> dict[tuple[int, int], tuple[Parameters, Joint | None]]:
+        """Parameters by index of the body and id of the joint; the joint, which keeps its id."""
+        return {}
 
     def constants(self, at: Connection) -> BodyConstants:
         """Return the constants of a connection's body, with the elements that act there."""
@@ -58,15 +69,21 @@ class TreeKinematics(Tree):
         ground = p.ground if at.parent == NOWHERE else se3.compose(poses[at.parent], p.ground)
         return se3.compose(se3.compose(se3.inverse(ground), poses[at.body]), p.body)
 
-    def carried(self, at: Connection, poses: list[Pose], twists: Mapping[int, Vec]) -> Vec:
-        """Twist Ad(D⁻¹G⁻¹) V_parent of the body's joint frame if the joint were rigid."""
-        in_parent = se3.compose(self.parameters(at).ground, self.relative(at, poses))
+    def carried(self, at: Connection, relative: Pose, twists: Mapping[int, Vec]) -> Vec:
+        """Twist Ad(D⁻¹G⁻¹) V_parent of the body's joint frame if the joint were rigid.
+
+        relative : D.
+        """
+        in_parent = se3.compose(self.parameters(at).ground, relative)
         return se3.Ad(se3.inverse(in_parent), twists[at.parent])
 
-    def relative_twist(self, at: Connection, poses: list[Pose], twists: Any) -> Vec:
-        """Relative twist D⁻¹Ḋ = Ad(B⁻¹) V − Ad(D⁻¹G⁻¹) V_parent of a connection."""
+    def relative_twist(self, at: Connection, relative: Pose, twists: Any) -> Vec:
+        """Relative twist D⁻¹Ḋ = Ad(B⁻¹) V − Ad(D⁻¹G⁻¹) V_parent of a connection.
+
+        relative : D.
+        """
         own = se3.Ad(se3.inverse(self.parameters(at).body), twists[at.body])
-        return own if at.parent == NOWHERE else sub(own, self.carried(at, poses, twists))
+        return own if at.parent == NOWHERE else sub(own, self.carried(at, relative, twists))
 
     # ---- arguments by link -----------------------------------------------------------------------
 
@@ -243,7 +260,7 @@ class TreeKinematics(Tree):
                 continue
             frame = pose_components(link.joint.body_frame)
             if at.parent != NOWHERE:
-                relative = add(relative, self.carried(at, poses, twists))
+                relative = add(relative, self.carried(at, self.relative(at, poses), twists))
             twists[i] = se3.Ad(frame, relative)
         self.batch_size(**sizes)
         return _alike({n: assembled(twists[i]) for i, n in enumerate(self.names)}, "twist", 1)
@@ -274,8 +291,8 @@ class TreeKinematics(Tree):
         velocities = {}
         for i, (link, at) in enumerate(zip(self.links, self.joints, strict=False)):
             if motions := motions_of(link.joint):
-                moving = self.relative_twist(at, poses, twists)
-                rates = motions.rates(moving, self.relative(at, poses))
+                relative = self.relative(at, poses)
+                rates = motions.rates(self.relative_twist(at, relative, twists), relative)
                 velocities[link.name] = finite(f"a rate of {link.name}", assembled(rates))
             elif not is_rigid(link.joint):
                 velocities[link.name] = assembled(twists[i])

@@ -148,7 +148,7 @@ class System:
         relative = self.mechanism.relative(at, poses)
         moving: Vec = (0.0,) * 6
         if twists is not None:
-            moving = self.mechanism.relative_twist(at, poses, twists)
+            moving = self.mechanism.relative_twist(at, relative, twists)
         return SE3.kinematics(body, relative, moving)
 
     def wrenches(self, at: Connection, p: Parameters, x: Kinematics, row: Vec) -> dict[int, Vec]:

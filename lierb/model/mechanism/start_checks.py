@@ -110,12 +110,13 @@ def _start_of_body(model: Model, poses: Array, twists: Array, t0: float, members
 
 
 def start_of_mechanism(mechanism: TreeKinematics, pose: Any, twist: Any, t0: float) -> Start:
-    """Return all joints, loops and constraints at the arguments of `lierb.integrate`.
+    """Return all joints, loops and constraints at valid poses and twists, arrays by link.
 
     The speed is the sum of the links' speeds: at a dead point the links of a joint may be at rest,
     except for the rounding of the other links' speed.
     """
-    placed, moving = mechanism.poses("pose0", pose), mechanism.twists("twist0", twist)
+    placed = [_side_by_side(pose_components(np.asarray(pose[name]))) for name in mechanism.names]
+    moving = [_side_by_side(components(np.asarray(twist[name]))) for name in mechanism.names]
     sizes = {f"pose0[{n!r}]": placed[i][1][0] for i, n in enumerate(mechanism.names)}
     sizes |= {f"twist0[{n!r}]": moving[i][0] for i, n in enumerate(mechanism.names)}
     count = mechanism.batch_size(**sizes) or 1
@@ -135,6 +136,13 @@ def start_of_mechanism(mechanism: TreeKinematics, pose: Any, twist: Any, t0: flo
         "joints allow"
     )
     return Start(joints, speed, t0, Members(0, count, count), "a link", closing, projecting)
+
+
+def _side_by_side(parts: Any) -> Any:
+    """Return nested tuples of arrays, each contiguous, which are used many times."""
+    return tuple(
+        _side_by_side(x) if isinstance(x, tuple) else np.ascontiguousarray(x)[()] for x in parts
+    )
 
 
 def _at_time(rows: Rows, t0: float) -> str:
@@ -256,7 +264,7 @@ def immobile(mechanism: TreeKinematics, pose: Any) -> ArgumentError | None:
     added = (r for at in mechanism.places for r in at.rows)
     if all(r.depends_on_time for r in added) and not mechanism.loops:
         return None
-    poses = [as_poses("pose0", pose[name]) for name in mechanism.names]
+    poses = [pose[name] for name in mechanism.names]
     free, redundant = map(np.atleast_1d, mobility(mechanism, poses))
     for number in np.flatnonzero(free == 0)[:1].tolist():
         return ArgumentError(

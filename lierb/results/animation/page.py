@@ -133,8 +133,8 @@ def animate(
 ) -> Animation:
     """Animate trajectories side by side, with a common clock and camera.
 
-    A slider magnifies the gap of the joint, which is 1e-7 m or less. The curve below shows the
-    joint's errors.
+    A slider magnifies the gap of the joint, which is 1e-7 m or less. Curves below show the joints'
+    errors and the first three observables.
 
     Parameters
     ----------

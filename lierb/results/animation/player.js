@@ -192,7 +192,7 @@ function start(scene) {
     view.dash = DASHES[view.dash % DASHES.length];
     view.t = floats(view.t, Float64Array);
     for (const joint of view.joints) joint.gap = floats(joint.gap);
-    for (const name in view.errors) view.errors[name] = floats(view.errors[name]);
+    for (const name in view.values) view.values[name] = floats(view.values[name]);
     for (const body of view.bodies) {
       body.poses = floats(body.poses);
       const { vertices, faces } = body.shape;
@@ -364,6 +364,14 @@ function start(scene) {
     });
   }
 
+  /** The axes of a body's frame: red, green, blue. */
+  function drawAxes(pen, see, pose) {
+    ["#c33", "#393", "#33c"].forEach((colour, i) => {
+      const tip = [0, 1, 2].map((n) => (n === i ? 0.3 * scene.size : 0));
+      line(pen, [see(pose.p), see(place(pose, tip))], colour, 1.4);
+    });
+  }
+
   function drawView(pen, view, rect) {
     pen.save();
     pen.beginPath();
@@ -389,6 +397,7 @@ function start(scene) {
       fill(pen, points, `rgb(${colour})`);
       line(pen, [...points, points[0]], `rgba(${colour.map((c) => Math.round(0.75 * c))},0.55)`, 0.7);
     }
+    if (bodies.length <= MOST_NAMED) for (const pose of alive) drawAxes(pen, see, pose);
     bodies.forEach((pose, i) => {
       if (pose) for (const ends of view.bodies[i].bones || [])
         line(pen, ends.map((point) => see(place(pose, point))), "rgba(60,60,60,0.55)", 2);
@@ -430,12 +439,21 @@ function start(scene) {
     drawCurves();
   }
 
-  // ---- errors over time ----
+  // ---- errors and observables over time ----
+
+  /** Ends of a linear axis, a little beyond all values. */
+  function ends(name) {
+    const all = scene.views.flatMap((view) => Array.from(view.values[name] || []).filter(Number.isFinite));
+    if (!all.length) return null;
+    const low = Math.min(...all), high = Math.max(...all), margin = 0.05 * (high - low) || 0.5 * Math.abs(high) || 1;
+    return { linear: true, bottom: low - margin, top: high + margin };
+  }
 
   /** Decades of an axis, and whether there are zeros, which are drawn on its lowest line. */
   function ranges(name) {
+    if (scene.linear.includes(name)) return ends(name);
     let low = Infinity, high = 0, zeros = false;
-    for (const view of scene.views) (view.errors[name] || []).forEach((x, k) => {
+    for (const view of scene.views) (view.values[name] || []).forEach((x, k) => {
       if (x > 0) { low = Math.min(low, x); high = Math.max(high, x); }
       if (x === 0 && k) zeros = true; // but for the start, which has no error yet
     });
@@ -474,19 +492,22 @@ function start(scene) {
       pen.fillStyle = "#666";
       pen.font = "11px system-ui, sans-serif";
       if (!range) {
-        const isNumber = scene.views.some((view) => view.errors[name]?.some(Number.isFinite));
+        const isNumber = scene.views.some((view) => view.values[name]?.some(Number.isFinite));
         pen.fillText(isNumber ? "exactly 0" : "not a number", box.x, box.y + box.h / 2, box.w);
       } else {
-        const up = (x) => box.y + box.h * (1 - Math.max(0, Math.log10(Math.max(x, 1e-300)) - range.bottom) / (range.top - range.bottom));
-        const every = Math.ceil((range.top - range.bottom) / Math.max(2, Math.floor(box.h / 18)));
-        for (let n = range.bottom; n <= range.top; n += every) {
-          line(pen, [[box.x, up(10 ** n)], [box.x + box.w, up(10 ** n)]], "#e6e6e6", 1);
-          pen.fillText(n === range.bottom && range.zeros ? "0" : power(n), box.x - 38, up(10 ** n) + 4);
+        const height = (x) => range.linear ? x : Math.max(range.bottom, Math.log10(Math.max(x, 1e-300)));
+        const up = (x) => box.y + box.h * (1 - (height(x) - range.bottom) / (range.top - range.bottom));
+        const every = range.linear ? nice((range.top - range.bottom) / Math.max(1, Math.floor(box.h / 24)))
+          : Math.ceil((range.top - range.bottom) / Math.max(2, Math.floor(box.h / 18)));
+        for (let n = Math.ceil(range.bottom / every - 1e-9) * every; n <= range.top; n += every) {
+          const at = range.linear ? up(n) : up(10 ** n), tiny = 1e-9 * every;
+          line(pen, [[box.x, at], [box.x + box.w, at]], "#e6e6e6", 1);
+          pen.fillText(range.linear ? short(Math.abs(n) < tiny ? 0 : n) : n === range.bottom && range.zeros ? "0" : power(n), box.x - 38, at + 4);
         }
         const count = scene.views.length;
         scene.views.forEach((view, n) => { // the first the thickest: none hides another
-          const points = Array.from(view.errors[name] || [], (x, k) => [across(box, view.t[k]), up(x), x]);
-          line(pen, points.filter((p, k) => p[2] === p[2] && (k || p[2] > 0)), view.colour, 1.3 + (2.2 * (count - 1 - n)) / count, view.dash);
+          const points = Array.from(view.values[name] || [], (x, k) => [across(box, view.t[k]), up(x), x]);
+          line(pen, points.filter((p, k) => p[2] === p[2] && (k || range.linear || p[2] > 0)), view.colour, 1.3 + (2.2 * (count - 1 - n)) / count, view.dash);
         });
       }
       pen.fillStyle = "#666";

@@ -3,8 +3,9 @@
     scene   title; up (3); centre (3) and radius of the visible region; size of the bodies, m;
             floor: height of the floor along up, m, or null; follow: true if the camera follows the
             bodies; magnify: largest factor of the slider; magnified: its initial factor; curves:
-            names and labels; colours: colours of the further bodies of a view; notes; views
-    view    title, colour, t, bodies, joints, errors; dash: index, from 0, among the views of the
+            names and labels; linear: names of those on linear axes; colours: colours of the further
+            bodies of a view; notes; views
+    view    title, colour, t, bodies, joints, values; dash: index, from 0, among the views of the
             same colour, which selects the line style
     body    name, shape, com, poses (times, 7): unit quaternion (w, x, y, z), position; trail: a
             body point or null; bones: pairs of points of a link that a line connects
@@ -12,7 +13,7 @@
             true for a loop's joint, listed after the links' joints; parent_frame and child_frame:
             4×4, row by row; parent_axes, child_axes, slides, child_slides: axes of these frames to
             draw; is_rod; gap (times, 6): see `lierb.results.animation.gaps`
-    errors  values of each of the curves over time
+    values  values of each of the curves over time: errors, and observables
 
 Views are shown side by side on a common clock. Bodies and joints are those of a mechanism; a single
 body has at most one joint. Arrays over time are float32, t is float64, little-endian, in base64;
@@ -50,6 +51,7 @@ MOST_MAGNIFIED = 1e12  # rounding, 1e-16, stays invisible
 FOLLOW_DISTANCE = 12.0  # distance, relative to its size, beyond which the camera follows a body
 TURN_SEEN = 0.5 * math.pi  # rad from frame to frame; the sense of a larger turn is not visible
 CENTRED = 0.02  # relative to the size: a centre of mass nearer to the joint has no trail
+MOST_OBSERVED = 3  # curves of observables, the first ones
 RECORD = (
     "an animation needs the poses over time: integrate with save_every=… or save_at=…, and "
     'record="state", such as save_every=10'
@@ -80,6 +82,7 @@ def scene_of(
         for name, result, model, number in named
     ]
     views, swept, sizes, gaps, curves, turns = zip(*looks, strict=True)
+    observed = [_observed(model) for _, _, model, _ in named]
     for view, (colour, dash) in zip(views, _colours([r for _, r, _, _ in named])):
         view |= {"colour": colour, "dash": dash}
     size, points = max(sizes), np.vstack(swept)
@@ -103,7 +106,9 @@ def scene_of(
         "follow": follow,
         "magnify": max(_largest_factor(max(gaps), size), magnified),
         "magnified": magnified,
-        "curves": {name: CURVES[name] for name in CURVES if any(name in of for of in curves)},
+        "curves": {name: CURVES[name] for name in CURVES if any(name in of for of in curves)}
+        | {name: label for of in observed for name, label in of.items()},
+        "linear": sorted({name for of in observed for name in of}),
         "colours": list(COLOURS),
         "notes": notes,
         "views": list(views),
@@ -201,6 +206,9 @@ def _view(
     shapes = [_of_link(shape, each.name) or equivalent(each.body) for each in links]
     joints = drawn_joints(model, poses)
     errors = _errors(history, [each.joint for each in joints], count, number, rows)
+    observed = {
+        name: as_array(history[name]).reshape(-1, count)[rows, number] for name in _observed(model)
+    }
     view = {
         "title": name,
         "t": text_of(np.ascontiguousarray(t[rows], "<f8")),  # resolves 1e-3 s after days
@@ -208,7 +216,7 @@ def _view(
             _body(each, own, placed, trail) for each, own, placed in zip(links, shapes, poses)
         ],
         "joints": [each.described() for each in joints],
-        "errors": {name: encoded(values) for name, values in errors.items()},
+        "values": {name: encoded(x) for name, x in {**errors, **observed}.items()},
     }
     size = max(each.size for each in shapes)
     turn = max(_turn(history, count, number, rows, t[rows], each.prefix) for each in links)
@@ -288,6 +296,14 @@ def _errors(
             np.abs(as_array(history[name]).reshape(-1, count)[:, number]), starts
         )
         for name in kinds
+    }
+
+
+def _observed(model: Model) -> dict[str, str]:
+    """Return the names and labels of the observables that have curves."""
+    return {
+        each.name: each.name if each.unit in ("", "1") else f"{each.name} [{each.unit}]"
+        for each in model.observables[:MOST_OBSERVED]
     }
 
 

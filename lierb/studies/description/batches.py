@@ -61,6 +61,11 @@ def batch_of(study: StudyTables, first: int, count: int, design: Design | None =
     """Make and start the bodies first, …, first + count − 1; see `lierb.Study.batch`."""
     draws = (design or study.design).draw(first, count)
     draws.pop(NOTHING, None)
+    return batch_at(study, draws, first, count)
+
+
+def batch_at(study: StudyTables, draws: dict[str, Array], first: int, count: int) -> Batch:
+    """Make and start bodies with these draws.   first : number of the first, for messages."""
     own: Draws = {}
     for path, values in draws.items():
         section, _, key = path.rpartition(".")

@@ -176,7 +176,9 @@ def _twists(
         if "twist" in given:
             twists[i] = components(as_numbers(f"{link.name}.twist", given["twist"], (6,)))
             continue
-        carried = ZERO6 if at.parent == NOWHERE else mechanism.carried(at, placed, twists)
+        carried = ZERO6
+        if at.parent != NOWHERE:
+            carried = mechanism.carried(at, mechanism.relative(at, placed), twists)
         frame = pose_components(link.joint.body_frame)
         if "omega" in given:  # the origin of the link's joint frame moves with the parent
             omega = components(as_numbers(f"{link.name}.omega", given["omega"], (3,)))

@@ -27,7 +27,7 @@ from lierb.model.base import Model
 from lierb.model.formulation import baumgarte
 from lierb.runs.options import Options
 from lierb.sampling import Design
-from lierb.studies.description import checks
+from lierb.studies.description import checks, differentiated
 from lierb.studies.description.batches import Batch, batch_of
 from lierb.studies.description.changes import applied
 from lierb.studies.description.code import Code, named, read_code
@@ -176,8 +176,9 @@ class Study(Represented, StudyTables):
         with at("initial"), np.errstate(all="ignore"):
             checks.check_start(batch, self.integrate.t0)
         for setting in self.settings:
-            with at("integrate", (*NEW_KEYS, "save_every")):
-                self.options(setting, batch.problem)
+            with at("integrate", (*NEW_KEYS, "save_every", differentiated.KEY)):
+                options = self.options(setting, batch.problem)
+                differentiated.check_derivatives(self, batch, options)
         checks.check_seed(self)
 
     def _representation(self) -> tuple[str, Lines]:

@@ -153,7 +153,7 @@ def _later_keys(tables: dict[str, Any]) -> Iterator[tuple[dict[str, Any], tuple[
         yield tables[section], ELEMENTS[1:]
     yield tables["problem"], LINKS_AND_LOOPS
     yield tables["initial"], ("close",)
-    yield tables["integrate"], ("stabilise", *NEW_KEYS)
+    yield tables["integrate"], ("stabilise", "sensitivities", *NEW_KEYS)
     for key in ("body", "joint"):
         if tables[key] is None:
             yield tables, (key,)

@@ -20,10 +20,10 @@ from lierb.studies.description.from_python import study_of
 from lierb.studies.description.study import Study
 from lierb.studies.description.study_file import plain_changes
 from lierb.studies.execution.cluster import spread
+from lierb.studies.execution.foreseen import warn_before
 from lierb.studies.execution.opening import loaded, opened, unentered
 from lierb.studies.execution.order import InTurn
 from lierb.studies.execution.replaying import REPLAY
-from lierb.studies.execution.stiff_steps import warn_of_stiff_steps
 from lierb.studies.storage.files import Stored, parquet_files
 from lierb.studies.storage.parts import Part
 from lierb.studies.storage.store import Store
@@ -172,7 +172,7 @@ def run(
         raise ArgumentError("resume=True keeps what overwrite=True deletes; give one of them")
     study, out = _study_and_folder(study, design, out, settings)
     given, text = loaded(study, changes)
-    warn_of_stiff_steps(given, stacklevel=3)
+    warn_before(given, stacklevel=3)
     store = Store(out)
     with store.locked():
         parts = opened(store, given, text, changes, resume, overwrite)
@@ -237,8 +237,13 @@ def _here(
     for part in parts:
         if stopping.is_set():
             return
-        tables = part.tables(study, design, threads, lambda within, _: report(within))
+        tables = part.tables(study, design, threads, _share_of(part.work(study), report))
         yield part.name, store.store(parquet_files(part.name, tables, study.output.compression))
+
+
+def _share_of(work: int, report: Callable[[int], None]) -> Callable[[int, int], None]:
+    """Return the progress function of a part; derivatives take several runs for the same work."""
+    return lambda done, total: report(done * work // total)
 
 
 @contextmanager

@@ -13,9 +13,9 @@ from lierb.results.failures import Failures, warn_of
 from lierb.studies.description.settings import Setting
 from lierb.studies.description.stopping import Bodies
 from lierb.studies.description.study import Study
+from lierb.studies.execution.foreseen import warn_before
 from lierb.studies.execution.opening import loaded
 from lierb.studies.execution.replaying import REPLAY
-from lierb.studies.execution.stiff_steps import warn_of_stiff_steps
 from lierb.studies.storage.parts import Parts
 
 
@@ -60,7 +60,7 @@ def integrate_batches(
     5
     """
     given, _ = loaded(study)
-    warn_of_stiff_steps(given, stacklevel=3)
+    warn_before(given, stacklevel=3)
     if table not in given.table_names:
         raise ArgumentError(
             f'table={table!r}; expected "summary", "history" with save_every or save_at, or '

@@ -17,6 +17,7 @@ from lierb.studies.description.quantiles import PROBABILITIES, quantile_of
 from lierb.studies.description.settings import Setting
 from lierb.studies.description.study import Study
 from lierb.studies.findings.columns import ok_columns, rows_of
+from lierb.studies.findings.linear_theory import LinearTheory, linear_theory
 from lierb.studies.findings.occurrences import Occurred, occurrences
 from lierb.studies.findings.sizes import sizes_of
 from lierb.studies.findings.statistics import (
@@ -108,6 +109,13 @@ def indices(dataset: Results) -> list[Sensitivity]:
     study = study_of(dataset)
     columns = list(observed_columns(dataset, study)) or [*errors_seen(dataset, study).values()]
     return list(sensitivities(dataset, study, columns))
+
+
+def linear_theories(
+    dataset: Results, probabilities: Sequence[float] = PROBABILITIES
+) -> list[LinearTheory]:
+    """Return the linear theory of a study's outputs; [] without `sensitivities`."""
+    return list(linear_theory(dataset, study_of(dataset), probabilities))
 
 
 def orders(findings: list[SettingErrors], of: SettingErrors) -> dict[str, Order | None]:

@@ -10,6 +10,7 @@ import numpy as np
 
 from lierb.studies.description.quantiles import CONFIDENCE, Quantile, percent
 from lierb.studies.findings.findings import LABELS, SettingErrors, orders
+from lierb.studies.findings.linear_theory import LinearTheory
 from lierb.studies.findings.occurrences import Occurred
 from lierb.studies.findings.statistics import Sensitivity, Spread
 from lierb.support.representations import counted, rounded
@@ -17,7 +18,7 @@ from lierb.support.representations import counted, rounded
 if TYPE_CHECKING:
     from rich.table import Table
 
-Row = TypeVar("Row", Occurred, Sensitivity, Spread)  # findings with a setting
+Row = TypeVar("Row", LinearTheory, Occurred, Sensitivity, Spread)  # findings with a setting
 
 
 def empty_table(words: Sequence[str], numbers: Sequence[str]) -> Table:
@@ -126,3 +127,23 @@ def table_of_indices(rows: list[Sensitivity]) -> Table:
             *with_interval(each.total, ".3f"),
         )
     return table
+
+
+def table_of_linear_theory(rows: list[LinearTheory]) -> Table:
+    """Make the table of importance factors, and of linear percentiles beside sampled ones."""
+    table = empty_table(("linear theory: share of variance",), ("", "linear", "sampled", INTERVAL))
+    for each in _in_sections(table, rows):
+        names = [named(each.name, each.unit), *shares_of(each)]
+        quantiles = zip(each.linear, each.sampled, strict=True)
+        numbers = [
+            (percent(q.probability), f"{x:.3g}", *with_interval(q[1:])) for x, q in quantiles
+        ]
+        for name, row in zip_longest((f"  {name}" for name in names), numbers):
+            table.add_row(name, *row or ())
+    return table
+
+
+def shares_of(theory: LinearTheory) -> list[str]:
+    """Format the importance factors, the largest first."""
+    shares = sorted(theory.shares.items(), key=lambda pair: -pair[1])
+    return [f"  {share:.3f} {quantity}" for quantity, share in shares]

@@ -25,13 +25,15 @@ from lierb.studies.findings.findings import (
     errors_seen,
     findings,
     indices,
+    linear_theories,
     orders,
     quantities,
     study_of,
 )
+from lierb.studies.findings.linear_theory import left_out
 from lierb.studies.findings.ranking import Ranking, rankings
 from lierb.studies.findings.statistics import Spread
-from lierb.studies.findings.tables import named, with_interval
+from lierb.studies.findings.tables import named, shares_of, with_interval
 from lierb.studies.pages.replays import chosen, description_of, replayed
 from lierb.studies.storage.parts import Parts
 from lierb.studies.storage.replaying import call_of
@@ -125,6 +127,7 @@ def _values_of_findings(
     options = "" if rank_by is None else f" --rank-by={rank_by}"
     if tuple(probabilities) != PROBABILITIES:
         options += f" --quantiles={','.join(each.rstrip('%') for each in percents)}"
+    theory = linear_theories(dataset, probabilities)
     summaries, seen, end = findings(dataset), errors_seen(dataset, study), study.integrate.t_end
     return {
         "options": options,
@@ -145,6 +148,16 @@ def _values_of_findings(
             (*each[:3], with_interval(each.first, ".3f"), with_interval(each.total, ".3f"))
             for each in indices(dataset)
         ],
+        "theory": [
+            (
+                each,
+                named(each.name, each.unit),
+                [share.strip() for share in shares_of(each)],
+                [(f"{x:.3g}", with_interval(q[1:])) for x, q in zip(each.linear, each.sampled)],
+            )
+            for each in theory
+        ],
+        "left_out": left_out(theory),
         "figures": [_drawn_sheet(name, sheet) for name, sheet in sheets(dataset, rank_by)],
         "omitted": omitted(dataset),
         "explorer": explorer(dataset, study, ranked, seen.values()),

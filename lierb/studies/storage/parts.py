@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -12,10 +12,14 @@ import pyarrow as pa
 from lierb.api import integrate_model
 from lierb.results.columns import as_array, numbers, repeated, vectors
 from lierb.results.result import Result
+from lierb.results.sensitivities import SEPARATOR
 from lierb.results.tables import event_row_bytes, history_row_bytes
+from lierb.runs.derivatives import derivative_bytes
 from lierb.runs.lane_engine import SHARES
+from lierb.runs.starts import ready
 from lierb.sampling import Design
 from lierb.studies.description.batches import Batch
+from lierb.studies.description.differentiated import parameters_of
 from lierb.studies.description.settings import Setting
 from lierb.studies.description.study import Study
 from lierb.studies.description.units import unit_of
@@ -23,12 +27,12 @@ from lierb.support.arrays import Array
 from lierb.support.collected_warnings import warnings_collected
 
 Progress = Callable[[int, int], None]
-HISTORY_BYTES = 64e6  # most bytes of a part's history
+HISTORY_BYTES = 64e6  # most bytes of a part's history and derivatives
 HISTORY_ROW_BYTES = 100  # bytes of a row, about, without the columns of `record`
 STATE_BYTES = 144  # bytes of a body's state
 JOINT_BYTES = 32  # bytes of a joint's errors
 # Estimates for the parts of fixed-step studies; unchanged, so that old studies can be resumed.
-# Rows of trajectories with their own clocks are counted to the byte.
+# Rows of trajectories with their own clocks or derivatives are counted to the byte.
 LABEL_BYTES = 16  # bytes of a row's cspace, method and dt
 EVENTS_FORESEEN = 10  # assumed crossings of each event in a trajectory
 
@@ -54,7 +58,8 @@ class Part:
     ) -> dict[str, pa.Table]:
         """Integrate the bodies; return `summary`, and `history` and `events` if there are any."""
         batch, result = self.run(study, design, threads, progress)
-        tables = {"summary": _with_draws(self._labelled(result.summary), study, batch)}
+        summary = _with_draws(self._labelled(result.summary), study, batch)
+        tables = {"summary": _with_derivatives(summary, result)}
         if result.history is not None:
             tables["history"] = self._labelled(result.history)
         if result.events is not None:
@@ -75,15 +80,19 @@ class Part:
             numbers_of_all = np.arange(self.first, self.first + self.count)
             own = {"seed": study.sample.seed, "trajectories": numbers_of_all}
         options = study.options(self.setting, batch.problem, **own)
+        parameters = parameters_of(study, batch.problem)
         with warnings_collected():
             result = integrate_model(
                 batch.problem,
                 options,
                 batch.pose0,
                 batch.twist0,
+                with_respect_to=[p.name for p in parameters.values()],
                 threads=threads,
                 progress=progress or False,
             )
+        if result.sensitivities is not None:
+            result = replace(result, sensitivities=result.sensitivities.named([*parameters]))
         return batch, result
 
     def _labelled(self, table: pa.Table) -> pa.Table:
@@ -158,7 +167,7 @@ class Parts:
 def part_size(study: Study) -> int:
     """Return the number of bodies in a part: the study's, or fewer if the memory is short."""
     run = study.integrate
-    if study.has_lane_clocks:
+    if study.has_lane_clocks or run.sensitivities:
         return max(1, min(study.output.part, int(HISTORY_BYTES / max(1, bytes_of_body(study)))))
     if run.save_every is None:
         return study.output.part
@@ -169,10 +178,20 @@ def part_size(study: Study) -> int:
 
 
 def bytes_of_body(study: Study) -> int:
-    """Return the bytes of a trajectory's `history` and `events`, if each has its own clock."""
+    """Return the bytes of a trajectory's `history` and `events`, and of its derivatives."""
     run, problem = study.integrate, study.batch(0, 1).problem
     each = (LABEL_BYTES + event_row_bytes(problem)) * EVENTS_FORESEEN * len(problem.events)
-    return each + saved_rows(study) * (LABEL_BYTES + history_row_bytes(problem, run.record))
+    each += saved_rows(study) * (LABEL_BYTES + history_row_bytes(problem, run.record))
+    return each + bytes_of_derivatives(study)
+
+
+def bytes_of_derivatives(study: Study) -> int:
+    """Return the bytes of a trajectory's derivatives, in the setting with most of them."""
+    batch = study.batch(0, 1)
+    parameters = tuple(parameters_of(study, batch.problem).values())
+    options = [study.options(each, batch.problem) for each in study.settings if parameters]
+    runs = (ready(batch.problem, each, batch.pose0, batch.twist0) for each in options)
+    return max((derivative_bytes(each, parameters) for each in runs), default=0)
 
 
 def saved_rows(study: Study) -> int:
@@ -194,6 +213,17 @@ def _with_draws(table: pa.Table, study: Study, batch: Batch) -> pa.Table:
         table = table.append_column(
             pa.field(f"sample.{name}", column.type, metadata=metadata), column
         )
+    return table
+
+
+def _with_derivatives(table: pa.Table, result: Result) -> pa.Table:
+    """Append the derivatives at the end of each trajectory, such as `pose/body.mass`."""
+    if result.sensitivities is None:
+        return table
+    derivatives = result.sensitivities.summary
+    for field in derivatives.schema:
+        if SEPARATOR in field.name:
+            table = table.append_column(field, derivatives[field.name])
     return table
 
 

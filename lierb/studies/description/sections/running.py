@@ -24,6 +24,8 @@ class IntegrateSection(Section):
     """Arguments of `lierb.integrate`; lists of cspace, method, dt and rtol are run as a product.
 
     With rtol or atol, steps are adaptive and dt is the first step.
+    sensitivities : inputs by which the end of each trajectory is differentiated: names of
+    `with_respect_to` in `lierb.integrate`; numbers of elements as in [sample].
     """
 
     model_config = SECTION | ConfigDict(
@@ -48,6 +50,7 @@ class IntegrateSection(Section):
     discontinuities: list[float] | None = Field(default=None, min_length=1)
     measure_every: Count = 1
     record: list[str] = []
+    sensitivities: Names = []
 
     @property
     def is_adaptive(self) -> bool:

@@ -1,22 +1,33 @@
-"""Warnings of a study's fixed steps that are too long for its forces."""
+"""Warnings that a study issues once, before it runs, for all settings."""
 
 from __future__ import annotations
 
 import warnings
-from typing import Any
 
-from lierb.errors import StiffStepWarning
+from lierb.errors import DerivativeWarning, StiffStepWarning
 from lierb.runs.stiffness import can_be_stiff, stiff_steps
+from lierb.runs.switches import switches_of
 from lierb.studies.description.study import Study
 from lierb.support.collected_warnings import are_warnings_collected
 
 MOST_BODIES = 4096  # first bodies of a study that are examined
 
 
-def warn_of_stiff_steps(study: Study, **options: Any) -> None:
-    """Issue one StiffStepWarning for all settings of a study.   options : of `warnings.warn`."""
-    if not are_warnings_collected() and (messages := stiff_settings(study)):
-        warnings.warn("\n  ".join(messages), StiffStepWarning, **options)
+def warn_before(study: Study, stacklevel: int) -> None:
+    """Issue the warnings of steps that are too long for forces, and of switches.
+
+    stacklevel : stack level of warnings; 2 is the caller of this function.
+    """
+    for category, messages in ({} if are_warnings_collected() else foreseen(study)).items():
+        warnings.warn("\n  ".join(messages), category, stacklevel=stacklevel)
+
+
+def foreseen(study: Study) -> dict[type[Warning], list[str]]:
+    """Return the messages of a study's warnings, by category."""
+    messages: dict[type[Warning], list[str]] = {StiffStepWarning: stiff_settings(study)}
+    if study.integrate.sensitivities:
+        messages[DerivativeWarning] = [switches_of(study.batch(0, 1).problem)]
+    return {category: own for category, own in messages.items() if any(own)}
 
 
 def stiff_settings(study: Study) -> list[str]:

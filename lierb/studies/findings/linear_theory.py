@@ -1,0 +1,219 @@
+"""Linear theory of a study with derivatives: importance factors, percentiles beside sampled ones.
+
+The slope ∂g/∂x of an output g by a sampled number x is its mean over the trajectories. For a normal
+x this is the slope of the best linear fit (Stein's lemma), and it needs no run at the mean point.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from math import prod
+from typing import NamedTuple
+
+import numpy as np
+
+from lierb.results.sensitivities import SEPARATOR
+from lierb.studies.description.quantiles import (
+    CONFIDENCE,
+    PROBABILITIES,
+    Quantile,
+    percent,
+    quantile_of,
+)
+from lierb.studies.description.settings import Setting
+from lierb.studies.description.study import Study
+from lierb.studies.description.study_tables import NOTHING
+from lierb.studies.findings.along_parameters import AlongParameters
+from lierb.studies.findings.columns import field_unit, ok_columns, some_rows
+from lierb.studies.storage.results import Results
+from lierb.support.arrays import Array
+
+MOST_BODIES = 500  # bodies, at random, over which slopes are means
+ROUNDING = 1e-6  # standard deviations; intervals of equal draws have no width
+CONSTANT = 1e-12  # range of an output that counts as rounding, relative to its largest number
+
+
+class LinearTheory(NamedTuple):
+    """Linear theory of an output, beside the sample, in one setting.
+
+    shares : importance factors, the share of the linear variance of each sampled quantity, of a
+        vector with all its components; without those in `left_out`.
+    linear : percentiles of the linear output over the draws of all bodies.
+    sampled : percentiles of the output over the same bodies.
+    parts_at : probabilities at which sampling error does not explain the difference of the two: the
+        linear percentile is outside the confidence interval of the sampled one.
+    left_out : reason for each sampled quantity without derivatives.
+    """
+
+    setting: Setting
+    name: str
+    unit: str
+    shares: dict[str, float]
+    linear: tuple[float, ...]
+    sampled: tuple[Quantile, ...]
+    parts_at: tuple[float, ...]
+    left_out: dict[str, str]
+
+    @property
+    def warning(self) -> str:
+        """Return the sentence about a linear theory that does not hold; "" if it does."""
+        if not self.parts_at:
+            return ""
+        where = ", ".join(percent(p) for p in self.parts_at)
+        return (
+            f"{self.setting.label}: linear theory does not hold for {self.name}; at {where} its "
+            f"percentile is outside the {CONFIDENCE:.0%} interval of the sampled one"
+        )
+
+
+class _Output(NamedTuple):
+    """Output of a study with derivatives.
+
+    column, item : column of the summary, and component.
+    of, part, width : quantity of the derivatives, component, and number of components.
+    """
+
+    name: str
+    column: str
+    item: int
+    of: str
+    part: int = 0
+    width: int = 1
+
+
+def linear_theory(
+    dataset: Results, study: Study, probabilities: Sequence[float] = PROBABILITIES
+) -> Iterator[LinearTheory]:
+    """Yield the linear theory of all outputs of a study with derivatives, setting by setting.
+
+    Outputs are the final values of observables and extra states, and the end time if events end
+    trajectories; of a study without any of these, the components of the twists at the end.
+    """
+    if study.integrate.sensitivities and study.design.drawn:
+        for setting in study.settings:
+            yield from _of_setting(dataset, study, setting, probabilities)
+
+
+def left_out(rows: Sequence[LinearTheory]) -> list[str]:
+    """Return a sentence for each sampled quantity without derivatives."""
+    reasons = {name: why for each in rows for name, why in each.left_out.items()}
+    return [f"linear theory leaves out {name}: {why}" for name, why in reasons.items()]
+
+
+def _of_setting(
+    dataset: Results, study: Study, setting: Setting, probabilities: Sequence[float]
+) -> Iterator[LinearTheory]:
+    outputs = [*_outputs(study)]
+    rows = _rows(dataset, study, setting, outputs)
+    count = len(next(iter(rows.values())))
+    if count < 2:
+        return
+    chosen = some_rows(count, MOST_BODIES)
+    some = {name: values[chosen] for name, values in rows.items()}
+    covariances = {name: study.design.quantities[name].moments[1] for name in study.design.drawn}
+    along, missing = _along_parameters(study, some, covariances)
+    schema = dataset.table().schema
+    for output in outputs:
+        values = rows[output.column][:, output.item]
+        if np.ptp(values) <= CONSTANT * np.abs(rows[output.column]).max():
+            continue
+        by = _by_parameters(output, study, some)
+        slopes = {name: np.mean(by @ weights, axis=0)[0] for name, weights in along.items()}
+        linear = values.mean() + sum(_off(rows, name) @ s for name, s in slopes.items())
+        percentiles, sampled = (
+            tuple(quantile_of(np.sort(x), p) for p in probabilities) for x in (linear, values)
+        )
+        rounding = ROUNDING * values.std()
+        yield LinearTheory(
+            setting,
+            output.name,
+            field_unit(schema.field(output.column)),
+            _shares(slopes, covariances),
+            tuple(q.value for q in percentiles),
+            sampled,
+            tuple(
+                q.probability
+                for x, q in zip(percentiles, sampled, strict=True)
+                if x.value < q.low - rounding or x.value > q.high + rounding
+            ),
+            missing,
+        )
+
+
+def _outputs(study: Study) -> Iterator[_Output]:
+    model = study.batch(0, 1).problem
+    ends = any(event.terminal for event in model.events)
+    for each in model.observables:
+        yield _Output(f"{each.name}_final", f"{each.name}_final", 0, each.name)
+    for name, shape, _ in model.signals:
+        for i in range(prod(shape)):
+            yield _Output(f"{name} {i + 1}" if shape else name, name, i, name, i, prod(shape))
+    if ends:
+        yield _Output("t", "t", 0, "t")
+    if ends or model.observables or model.signals:
+        return
+    for link in model.link_names:
+        prefix = f"{link}." if link else ""
+        for first, column in ((0, f"{prefix}omega"), (3, f"{prefix}v")):
+            for i in range(3):
+                yield _Output(f"{column} {i + 1}", column, i, f"{prefix}twist", first + i, 6)
+
+
+def _rows(
+    dataset: Results, study: Study, setting: Setting, outputs: Sequence[_Output]
+) -> dict[str, Array]:
+    """Read outputs, derivatives and draws of the ok bodies without NaN, (n, numbers)."""
+    columns = [output.column for output in outputs]
+    columns += [_sampled(name) for name in study.design.quantities if name != NOTHING]
+    columns += [
+        f"{output.of}{SEPARATOR}{name}"
+        for output in outputs
+        for name in study.integrate.sensitivities
+    ]
+    rows = {
+        name: values.reshape(len(values), -1)
+        for name, values in ok_columns(dataset, setting, [*dict.fromkeys(columns)]).items()
+    }
+    known = np.all([np.isfinite(values).all(axis=1) for values in rows.values()], axis=0)
+    return {name: values[known] for name, values in rows.items()}
+
+
+def _sampled(quantity: str) -> str:
+    return f"sample.{quantity}"
+
+
+def _off(rows: dict[str, Array], quantity: str) -> Array:
+    """Return the differences of the draws from their mean, (n, components)."""
+    draws = rows[_sampled(quantity)]
+    return np.asarray(draws - draws.mean(axis=0))
+
+
+def _along_parameters(
+    study: Study, rows: dict[str, Array], covariances: dict[str, Array]
+) -> tuple[dict[str, Array], dict[str, str]]:
+    """Return ∂p/∂x by sampled quantity, and reasons for those without derivatives."""
+    draws = {
+        name: rows[_sampled(name)].reshape(-1, *quantity.shape)
+        for name, quantity in study.design.quantities.items()
+    }
+    deviations = {name: np.sqrt(c.diagonal()) for name, c in covariances.items()}
+    chain = AlongParameters(study, draws, deviations)
+    along = {name: chain.along(name) for name in deviations}
+    missing = {name: why for name, why in along.items() if isinstance(why, str)}
+    return {name: w for name, w in along.items() if not isinstance(w, str)}, missing
+
+
+def _by_parameters(output: _Output, study: Study, rows: dict[str, Array]) -> Array:
+    """Return the derivatives of an output by all numbers of the parameters, (n, 1, numbers)."""
+    parts = []
+    for name in study.integrate.sensitivities:
+        flat = rows[f"{output.of}{SEPARATOR}{name}"]
+        parts.append(flat.reshape(len(flat), output.width, -1)[:, output.part])
+    return np.concatenate(parts, axis=1)[:, None]
+
+
+def _shares(slopes: dict[str, Array], covariances: dict[str, Array]) -> dict[str, float]:
+    """Return (∂g/∂x)ᵀ C ∂g/∂x of each quantity, divided by their sum."""
+    variances = {name: float(s @ covariances[name] @ s) for name, s in slopes.items()}
+    total = sum(variances.values()) or np.nan
+    return {name: variance / total for name, variance in variances.items()}

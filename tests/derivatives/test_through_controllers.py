@@ -1,0 +1,119 @@
+"""Derivatives through controllers, whose outputs are held from tick to tick: closed forms."""
+
+import numpy as np
+import pytest
+
+import lierb
+from derivatives.complex_steps import H
+from lierb.errors import ArgumentError, DerivativeWarning
+
+INERTIA, PERIOD, TICKS = 0.1, 0.05, 20
+END = PERIOD * (TICKS + 0.4)
+JOINT = lierb.joints.revolute()
+START = {"twist0": JOINT.twist(omega=(0.0, 0.0, 1.0)), "t_end": END}
+VALUES = {"gain": 2.0, "damping": 0.3, "share": 0.7, "last": 0.2, "bias": 0.0}
+
+
+@lierb.controller(
+    every=PERIOD,
+    memory={"last": 0.2},
+    **{k: VALUES[k] for k in ("gain", "damping", "share", "bias")},
+)
+def servo(R, omega, params, memory):
+    angle = np.arctan2(R[1, 0], R[0, 0])
+    seen = params.share * angle + (1.0 - params.share) * memory.last
+    torque = -params.gain * seen - params.damping * omega[2]
+    return {"torque": torque + params.bias * lierb.noise.normal("torque")}, {"last": seen}
+
+
+@lierb.wrench
+def drive(t, R, r, omega, v, params, controls):
+    return (0.0, 0.0, controls.torque), (0.0, 0.0, 0.0)
+
+
+def wheel(**values):
+    body = lierb.Body(1.0, (INERTIA, INERTIA, INERTIA))
+    return lierb.Problem(body, JOINT, forces=drive(), controllers=servo(**values))
+
+
+def exact(gain, damping, share, last, inertia, speed, **_):
+    """Angle, rate and torque at the end: constant torque from tick to tick."""
+    angle, rate, torque = 0.0, speed, 0.0
+    for k in range(TICKS + 1):
+        last = share * angle + (1.0 - share) * last
+        torque = -gain * last - damping * rate
+        h = PERIOD if k < TICKS else 0.4 * PERIOD
+        angle, rate = angle + rate * h + 0.5 * torque / inertia * h * h, rate + torque / inertia * h
+    return np.array((angle, rate, torque))
+
+
+NAMES = {
+    "gain": "servo.gain", "damping": "servo.damping", "share": "servo.share", "last": "servo.last",
+    "speed": "omega0", "inertia": "body.inertia",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("options", [{"rtol": 1e-12}, {"dt": 0.01}], ids=["adaptive", "fixed"])
+def test_derivatives_are_those_of_the_sampled_loop(options):
+    result = lierb.integrate(wheel(), **START, **options, with_respect_to=[*NAMES.values()])
+    values = VALUES | {"inertia": INERTIA, "speed": 1.0}
+    for key, name in NAMES.items():
+        moved = exact(**values | {key: values[key] + 1j * H}).imag / H
+        which = 2 if key in ("speed", "inertia") else 0  # about e₃: the third direction
+        found = [result.sensitivity(of, name)[0] for of in ("pose", "twist")]
+        turned, faster = (x[2, which] for x in found)
+        torque = result.sensitivity("torque", name)[0, which]
+        # steps of constant torque are exact: rounding of 21 of them
+        np.testing.assert_allclose((turned, faster, torque), moved, rtol=1e-9, atol=1e-12)
+    plain = lierb.integrate(wheel(), **START, **options)
+    for name in ("omega", "torque", "rotation"):
+        assert plain.summary[name].equals(result.summary[name])
+
+
+def test_noise_depends_on_nothing():
+    names = ["servo.gain", "servo.bias"]
+    noisy = lierb.integrate(wheel(bias=1e-3), **START, dt=0.01, seed=3, with_respect_to=names)
+    clean = lierb.integrate(wheel(), **START, dt=0.01, with_respect_to=names)
+    ends = [
+        lierb.integrate(wheel(bias=b), **START, dt=0.01, seed=3).summary["omega"][0].as_py()[2]
+        for b in (0.0, 2e-3)
+    ]
+    # linear in noise: a difference is the derivative, to rounding over its step
+    slope = (ends[1] - ends[0]) / 2e-3
+    assert noisy.sensitivity("twist", "servo.bias")[0, 2, 0] == pytest.approx(slope, rel=1e-9)
+    gains = [x.sensitivity("twist", "servo.gain")[0, 2, 0] for x in (noisy, clean)]
+    assert gains[0] != gains[1]
+    assert gains[0] == pytest.approx(gains[1], rel=0.1)
+
+
+@lierb.controller(every=0.1, level=0.5)
+def relay(omega, params):
+    return {"torque": lierb.where(omega[2] > params.level, -1.0, 1.0)}
+
+
+def test_controllers_that_switch_are_named_and_periods_refused():
+    body = lierb.Body(1.0, (INERTIA, INERTIA, INERTIA))
+    problem = lierb.Problem(body, JOINT, forces=drive(), controllers=relay())
+    with pytest.warns(DerivativeWarning, match="relay: switches by a comparison"):
+        lierb.integrate(problem, **START, dt=0.01, with_respect_to="body.mass")
+    with pytest.raises(
+        ArgumentError, match=r"servo\.every.* determines times at which servo jumps"
+    ):
+        lierb.integrate(wheel(), **START, dt=0.01, with_respect_to="servo.every")
+
+
+@pytest.mark.slow
+def test_looped_code_carries_them_too():
+    links = [lierb.Link("wheel", lierb.Body(1.0, (INERTIA,) * 3), JOINT)]
+    mechanism = lierb.Mechanism(links, forces=drive().on("wheel"), controllers=servo().on("wheel"))
+    pose0 = mechanism.pose()
+    result = lierb.integrate(
+        mechanism, pose0=pose0, twist0=mechanism.twist({"wheel": 1.0}, pose0), t_end=END, dt=0.01,
+        solver="looped", with_respect_to=["wheel.servo.gain"],
+    )  # fmt: skip
+    values = VALUES | {"inertia": INERTIA, "speed": 1.0, "gain": VALUES["gain"] + 1j * H}
+    moved = exact(**values).imag / H
+    found = result.sensitivity("wheel.twist", "wheel.servo.gain")[0, 2, 0]
+    assert found == pytest.approx(moved[1], rel=1e-9)
+    torque = result.sensitivity("torque", "wheel.servo.gain")[0, 0]
+    assert torque == pytest.approx(moved[2], rel=1e-9)
