@@ -196,6 +196,7 @@ class Model(Represented):
 
     def renumbered(self, numbers: Numbers) -> Self:
         """Return the model with other numbers in some fields of `inputs`, in the shapes there."""
+        numbers = {field: np.asarray(x) for field, x in numbers.items()}  # kernels read addresses
         elements = elements_with(self, numbers)
         return type(self)(*self._structure_with(numbers), **elements)
 
