@@ -7,7 +7,7 @@ from typing import Any
 from measuring import around_marks, headline
 from peers.report import _three as three
 
-AS_GOOD = 2.0  # lierb's error, by a peer's, with which lierb is compared
+AS_GOOD = 2.0  # most of lierb's error over a peer's, where the two are compared
 STEPS = 1000  # a simulated second counts as so many steps, whatever a method takes itself
 TITLES = {
     "chain2": "2 revolute links",
