@@ -104,7 +104,7 @@ def test_replay_refuses_what_is_no_number(dataset, number):
         dataset.replay(number, cspace="SE3", dt=1e-3)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_replay_of_adaptive_steps_of_a_mechanism(tmp_path):
     """A pendulum of two links, its start by coordinates, in the study's one setting."""
     body = {"solid": "rod", "length": 0.3, "radius": 0.01, "density": 2700.0}

@@ -103,7 +103,9 @@ def test_a_joint_holds_up_to_its_static_friction():
     assert rate[2][2] == pytest.approx((1.21 - 1.0) / INERTIA * 1000.0, rel=1e-2)
 
 
-@pytest.mark.parametrize("where", ["problem", "mechanism", "looped"])
+@pytest.mark.parametrize(
+    "where", ["problem", pytest.param("mechanism", marks=pytest.mark.long), "looped"]
+)
 def test_wheels_turn_to_and_fro_as_by_scipy(where):
     """Two wheels with bristles of their own, on one body, or in one mechanism."""
     exact = [wheel_by_scipy(1.0), wheel_by_scipy(1.0, coulomb=0.5)]

@@ -155,7 +155,7 @@ def test_part_of_a_batch_counts_as_before():
     assert summed(result, "turned")[0] == summed(whole, "turned")[2]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_each_force_counts_the_turns_of_its_own_joint():
     """Two wheels; the second state is behind a user's vector. Right: cosines."""
 

@@ -183,7 +183,7 @@ def test_several_trajectories_share_parameters_and_have_starts_of_their_own():
     assert fit.unidentifiable == ()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_mechanism_with_names_of_links_is_fitted():
     from mechanisms.shared import double_pendulum
 

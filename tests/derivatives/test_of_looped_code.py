@@ -82,7 +82,7 @@ def agree(mechanism, start, names, **options):
     return result
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_derivatives_of_six_joints_are_those_of_unrolled_formulas():
     mechanism = tree_of(SIX, forces=FORCES)
     agree(mechanism, start_of(mechanism), NAMES)

@@ -244,7 +244,7 @@ def test_the_derivative_along_the_flow_is_the_twist_of_every_link(shape):
             assert np.abs(found - wanted).max() < 1e-9 * (1.0 + np.abs(at_end).max()), (name, of)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_directions_of_a_start_stay_on_joints_and_loops():
     mechanism, pose0, twist0 = four_bar()
     names = ("crank.pose0", "coupler.twist0", "pin.joint.body_point", "rocker.joint.ground_point")

@@ -62,6 +62,7 @@ def test_without_the_wheel_the_ratios_are_right_and_the_scale_is_not_told(page):
     assert np.abs(page["ratios"][:3] - truth[:3] / truth[0]).max() < 1e-3
 
 
+@pytest.mark.long
 def test_scatter_of_repeated_fits_is_the_covariance(page, refit):
     """The sum of χ² over 40 fits of nine numbers is that of 360 freedoms: 0.1 % at each end.
 

@@ -73,6 +73,7 @@ def satellite() -> lierb.Mechanism:
     )
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("cspace", long_but(["reduced", "SO3xR3"], "reduced"))
 def test_satellite_in_orbit_takes_the_steps_of_one_at_rest(cspace):
     made, ends, steps = satellite(), [], []

@@ -267,7 +267,7 @@ def test_bits_of_projected_adaptive_steps_depend_on_nothing_else(monkeypatch):
     np.testing.assert_array_equal(bits(looped(mechanism, start, **TIGHT)), expected)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_run_goes_on_with_the_rank_of_its_start():
     mechanism, start = shape("four_bar")
     whole = looped(mechanism, start, t_end=0.04)

@@ -78,7 +78,7 @@ def both():
     ]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_elements_do_what_they_do_in_unrolled_code():
     ours, theirs = both()
     for found, expected in ((ours.summary, theirs.summary), (ours.history, theirs.history)):
@@ -97,7 +97,7 @@ def test_elements_do_what_they_do_in_unrolled_code():
     assert statuses == ["event", "event", "event", "ok"]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_events_are_found_at_the_times_of_unrolled_code():
     ours, theirs = (result.events for result in both())
     assert ours.column_names == theirs.column_names

@@ -151,7 +151,7 @@ def test_forces_act_as_in_unrolled_formulas():
     agree(tree_of(("revolute", *SIX[1:3], "revolute", *SIX[4:]), forces=forces))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_all_columns_are_those_of_unrolled_code():
     drag = lierb.forces.drag(linear=0.2, angular=0.1).on("link1")
     mechanism = tree_of(("screw", "universal"), forces=(drag,))
@@ -241,7 +241,7 @@ def test_bits_do_not_depend_on_breaks(monkeypatch):
 ADAPTIVE = {"dt": None, "rtol": 1e-8, "t_end": 0.5, "method": "DOP853"}
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_adaptive_steps_reach_the_motion_of_small_steps():
     """DOP853 at 0.5 ms leaves rounding; the tolerance of a step is 1e-11."""
     mechanism = tree_of(SIX)
