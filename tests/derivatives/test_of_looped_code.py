@@ -103,8 +103,13 @@ def test_derivatives_through_motors_and_constraints_are_those_of_unrolled_formul
     agree(mechanism, start, names, stabilise=lierb.baumgarte(5.0, 4.0))
 
 
+@lierb.event(terminal=True, level=-100.0)
+def passes(r, params):
+    return r[0] - params.level
+
+
 def arm(stiffness=20.0, mass=0.7):
-    """Ten links of an arm, springs in two of its joints."""
+    """Ten links of an arm, springs in two of its joints, and a plane that its end never reaches."""
     links = [
         lierb.Link(
             f"link{i}", lierb.bodies.rod(0.3, 0.01, mass=mass if i == 4 else 0.5),
@@ -119,7 +124,9 @@ def arm(stiffness=20.0, mass=0.7):
     springs = [
         lierb.forces.torsional_spring(stiffness=stiffness).on(name) for name in ("link2", "link7")
     ]
-    return lierb.Mechanism(links, gravity=(0.0, 0.0, -9.81), forces=springs)
+    return lierb.Mechanism(
+        links, gravity=(0.0, 0.0, -9.81), forces=springs, events=passes().on("link9")
+    )
 
 
 STIFFNESS = "link7.torsional_spring.stiffness"
@@ -166,15 +173,10 @@ def test_a_direction_does_not_depend_on_the_others_nor_its_place_on_the_batch():
     np.testing.assert_array_equal(found, alone.sensitivity("link9.twist", STIFFNESS)[:, 0])
 
 
-@lierb.event(terminal=True, level=0.0)
-def passes(r, params):
-    return r[0] - params.level
-
-
 @pytest.mark.slow
 def test_ends_at_events_change_as_by_differences():
     """A link crosses a plane: time and state there, by a spring and by the place of the plane."""
-    model = arm().with_(events=passes(level=-0.1).on("link9"))
+    model = arm().with_({"link9.passes.level": -0.1})
     options = {"rtol": 1e-11, "t_end": 2.0}
     names = (STIFFNESS, "link9.passes.level")
     result = lierb.integrate(model, **moving(model), **options, with_respect_to=names)

@@ -170,7 +170,7 @@ def test_extra_states_have_the_published_derivatives_of_heyoka():
     assert (metadata[b"unit"], metadata[b"per"]) == (b"rad", b"rad/s")
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_states_and_observables_follow_the_motion_and_their_parameters():
     @lierb.states(path=0.0, params={"gain": 2.0})
     def path_length(v, states, params):
