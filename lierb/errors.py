@@ -14,8 +14,9 @@ from typing import Any
 __all__ = [
     "LierbError", "ArgumentError", "UnknownNameError", "InertiaError", "ForceError", "PoseError",
     "TwistError", "StudyError", "StudyFileError", "TimeGridError", "MemoryLimitError",
-    "InconsistentStateWarning", "FailedTrajectoryWarning", "ScalarFunctionWarning", "StudyWarning",
-    "StiffStepWarning", "LeftOutWarning", "DerivativeWarning", "ForkError",
+    "InconsistentStateWarning", "FailedTrajectoryWarning", "FailedFitWarning",
+    "ScalarFunctionWarning", "StudyWarning", "StiffStepWarning", "LeftOutWarning",
+    "DerivativeWarning", "ForkError",
 ]  # fmt: skip
 
 

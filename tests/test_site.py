@@ -70,6 +70,14 @@ WITHOUT_EXAMPLE = {
 }
 
 
+def test_documented_names_of_a_module_are_public():
+    """autodoc leaves out, with a warning, what is not in the `__all__` of an automodule."""
+    for name in DOCUMENTED:
+        holder, _, last = name.rpartition(".")
+        if holder in DOCUMENTED and isinstance(module := _item(holder), ModuleType):
+            assert last in getattr(module, "__all__", [last]), name
+
+
 @pytest.mark.parametrize("name", PUBLIC)
 def test_public_name_is_in_the_reference(name):
     assert name in DOCUMENTED, f"add it to a page in docs/reference, as `.. autofunction:: {name}`"
