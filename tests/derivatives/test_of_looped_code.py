@@ -4,15 +4,13 @@ differences, and what does not depend on the number of directions.
 
 import numpy as np
 import pytest
+from mechanisms.shared import stepped
 from mechanisms.test_looped_constraints import chain, driven
 from mechanisms.test_tree_loop import SIX, start_of, tree_of
 
 import lierb
 from lierb.kernels.numbers.dual import Dual
-from lierb.kernels.stepping.method import Interval
-from lierb.kernels.stepping.method_of import method_of
 from lierb.kernels.systems.derivatives import moved_in_body
-from lierb.kernels.systems.system_of import system_of
 from lierb.runs.options import Options
 from lierb.runs.parameters import all_directions, chosen_parameters
 from lierb.runs.start_directions import Start
@@ -38,18 +36,13 @@ def by_formulas(mechanism, start, names, trajectory, stabilise=None):
     run = ready(mechanism, options, **start)
     at = Start(mechanism, start["pose0"], start["twist0"], 0.0)
     directions = all_directions(chosen_parameters(mechanism, names), at)
-    system, numbers = system_of(run.plan), run.inputs.numbers(trajectory)
+    numbers = run.inputs.numbers(trajectory)
     seeds = [np.zeros(len(numbers)) for _ in directions]
     for seed, given in zip(seeds, directions, strict=True):
         for name, array in given.items():
             seed[run.inputs.columns[name]] = array[trajectory if len(array) > 1 else 0]
     numbers = [Dual(x, tuple(parts)) for x, parts in zip(numbers, zip(*seeds))]
-    constants = system.body(numbers)
-    state = system.start(constants, (), numbers)
-    constants = constants._replace(dropped=0.0 + system.dropped(constants, state))
-    for k in range(STEPS):
-        interval = Interval(k * DT, DT, DT)
-        state = method_of(run.plan).step(system, constants, state, interval).state
+    system, constants, state = stepped(run, numbers, DT, STEPS)
     found = system.in_user_frames(constants, numbers, state)
     return {
         name: np.array(moved_in_body(x, len(directions)), float).reshape(12, len(directions))

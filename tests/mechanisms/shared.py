@@ -11,12 +11,15 @@ import numpy as np
 
 import lierb
 from lierb.kernels.mechanics.tree import TreeConstants
+from lierb.kernels.stepping.method import Interval
+from lierb.kernels.stepping.method_of import method_of
 from lierb.kernels.systems.plan import UNSTABILISED
 from lierb.kernels.systems.state import State
 from lierb.kernels.systems.system_of import system_of
 from lierb.kernels.systems.tree_system import TreeFormulation
 from lierb.methods import TABLEAUS
 from lierb.model.mechanism.plan import mechanism_plan_of
+from lierb.runs.starts import Ready
 
 GRAVITY = (0.0, 0.0, -9.81)
 TURNING = {"axis": (0.0, 1.0, 0.0), "body_point": (0.0, 0.0, 0.25)}
@@ -85,6 +88,21 @@ def in_python(
         flat += map(float, numbers if field.entries is None else numbers[list(field.entries)])
     body = system_of(plan).body(flat)
     return system_of(plan), body, system_of(plan).start(body, (), flat)
+
+
+def stepped(run: Ready, numbers: Any, dt: float, steps: int) -> tuple[Any, Any, State]:
+    """System, constants and last state of a trajectory, stepped by the formulas of unrolled code.
+
+    numbers : the trajectory's inputs, floats or dual numbers.
+    """
+    system = system_of(run.plan)
+    constants = system.body(numbers)
+    state = system.start(constants, (), numbers)
+    constants = constants._replace(dropped=0.0 + system.dropped(constants, state))
+    for k in range(steps):
+        at = Interval(k * dt, dt, dt)
+        state = method_of(run.plan).step(system, constants, state, at).state
+    return system, constants, state
 
 
 def bits(result: lierb.Result) -> np.ndarray:

@@ -9,15 +9,12 @@ from scipy.integrate import solve_ivp
 import lierb
 from lierb.compiler.entries import kernels_loaded
 from lierb.errors import FailedTrajectoryWarning
-from lierb.kernels.stepping.method import Interval
-from lierb.kernels.stepping.method_of import method_of
-from lierb.kernels.systems.system_of import system_of
 from lierb.runs import lane_engine
 from lierb.runs.options import Options
 from lierb.runs.starts import ready
 from mechanisms import samples
 from mechanisms.benchmarks import a02
-from mechanisms.shared import bits
+from mechanisms.shared import bits, stepped
 from mechanisms.test_tree_loop import body, frame, part, start_of, tree_of
 
 G0 = 9.81
@@ -42,13 +39,8 @@ class ByFormulas:
             stabilise=stabilise,
         )  # fmt: skip
         run = ready(mechanism, options, **start)
-        system, numbers = system_of(run.plan), run.inputs.numbers(trajectory)
-        constants = system.body(numbers)
-        state = system.start(constants, (), numbers)
-        constants = constants._replace(dropped=0.0 + system.dropped(constants, state))
-        for k in range(STEPS):
-            at = Interval(k * DT, DT, DT)
-            state = method_of(run.plan).step(system, constants, state, at).state
+        numbers = run.inputs.numbers(trajectory)
+        system, constants, state = stepped(run, numbers, DT, STEPS)
         found = system.in_user_frames(constants, numbers, state)
         self.states = dict(zip(mechanism.names, (np.array(x, float) for x in found), strict=True))
         multipliers, wrenches = system.forces(constants, state, DT * STEPS)

@@ -12,14 +12,11 @@ import lierb
 from lierb.compiler.entries import kernels_loaded
 from lierb.errors import ArgumentError, FailedTrajectoryWarning, MemoryLimitError
 from lierb.kernels.numbers.vec import Vec
-from lierb.kernels.stepping.method import Interval
-from lierb.kernels.stepping.method_of import method_of
-from lierb.kernels.systems.system_of import system_of
 from lierb.runs import engine, lane_engine
 from lierb.runs.options import Options
 from lierb.runs.starts import ready
 from lierb.support import memory
-from mechanisms.shared import bits
+from mechanisms.shared import bits, stepped
 
 GRAVITY = (0.4, -0.3, -9.81)
 ENTRIES = lierb.joints.JOINTS
@@ -71,12 +68,8 @@ def in_numpy(mechanism, start, trajectory, method="RK4") -> dict[str, Vec]:
     """R, r, ω, v of every link after ten steps, by the formulas of unrolled code on floats."""
     options = Options.of(mechanism, dt=0.01, t_end=0.1, method=method, solver="unrolled")
     run = ready(mechanism, options, **start)
-    system, numbers = system_of(run.plan), run.inputs.numbers(trajectory)
-    constants = system.body(numbers)
-    state = system.start(constants, (), numbers)
-    for k in range(10):
-        at = Interval(k * 0.01, 0.01, 0.01)
-        state = method_of(run.plan).step(system, constants, state, at).state
+    numbers = run.inputs.numbers(trajectory)
+    system, constants, state = stepped(run, numbers, 0.01, 10)
     found = system.in_user_frames(constants, numbers, state)
     return dict(zip(mechanism.names, (np.array(x, float) for x in found), strict=True))
 
