@@ -108,10 +108,16 @@ def _with_index(force: Force, having: tuple[Element, ...]) -> Force:
     turns = getattr(force.kind, "turns", "")
     if not (turns or force.columns):
         return force
+
+    def has_its_state(each: Element) -> bool:
+        if not turns:
+            return each is force
+        is_counter = isinstance(each.kind, TurnCounter) and each.name == turns
+        return is_counter and each.at == force.at
+
     first = 0
     for each in having:
-        is_counter = isinstance(each.kind, TurnCounter) and each.name == turns
-        if each is force if not turns else is_counter and each.at == force.at:
+        if has_its_state(each):
             return force.of_kind(index=first)
         first += size_of(each.columns)
     where, place = (f" on {force.at[0]!r}", f".on({force.at[0]!r})") if force.at else ("", "")

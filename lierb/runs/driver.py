@@ -76,6 +76,7 @@ class Run(Generic[Clocks]):
         if not isinstance(plan, MechanismPlan) or not plan.is_in_memory:
             return {}
         table, rows = table_of(plan)
+        # Each number has its derivatives beside it; moved_in_time of an event doubles both.
         rows *= (1 + plan.directions) * (2 if plan.moving and events_of(plan) else 1)
         size = 8 * rows * plan.lanes * self.threads
         require_memory(size, f"memory for {plan.links} links", "lower threads= of lierb.integrate")
