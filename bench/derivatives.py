@@ -3,7 +3,7 @@
 python bench/derivatives.py              print the table of docs/howto/derivatives.md
 
 All runs of a row take turns in one process, on one thread; the least CPU times are compared. It
-takes about three minutes, most of them to compile.
+takes about four minutes, most of them to compile.
 """
 
 from __future__ import annotations
@@ -65,6 +65,8 @@ def runs() -> dict[str, tuple[Run, dict[int, list[str]]]]:
         "heavy top, RK4, constant gain": (turning(dt=1e-3), of_body),
         "heavy top, RK4, saddle point": (turning(dt=1e-3, solver="saddle"), of_body),
         "heavy top, DOP853, rtol 1e-8": (turning(rtol=1e-8), of_body),
+        "heavy top, Rodas4, rtol 1e-5": (turning(rtol=1e-5, method="Rodas4"), of_body),
+        "heavy top, RATTLie": (turning(dt=1e-3, method="RATTLie"), of_body),
         "double pendulum, RK4": (swinging(dt=1e-3), of_links),
         "double pendulum, DOP853, rtol 1e-8": (swinging(rtol=1e-8), of_links),
         "chain of 8 links, RK4, looped": (hanging_chain(8), of_chain),

@@ -85,9 +85,6 @@ def _obstacles(ready: Ready) -> Iterator[str]:
             "a run that continues from result.end keeps the state of the kernels, which has no "
             "derivatives by a start; begin with a copy of its poses, pose0=pose0.copy()"
         )
-    if not plan.is_explicit:
-        name = ready.options.timing.method.name
-        yield f"{name} has no derivatives; take an explicit method, such as RK4 or DOP853"
     names = {f.name for e in plan.elements for f in e.functions if not f.is_traced}
     if names:
         yield (

@@ -54,8 +54,9 @@ def flight(speed, g=G, height=0.2, start=1.0):
     [
         pytest.param({}, marks=pytest.mark.slow),
         pytest.param({"rtol": None, "dt": 1e-3, "method": "RK4"}, marks=pytest.mark.long),
+        pytest.param({"method": "Rodas4"}, marks=pytest.mark.long),
     ],
-    ids=["adaptive", "fixed"],
+    ids=["adaptive", "fixed", "implicit"],
 )
 def test_times_of_terminal_events_have_exact_derivatives(options):
     speeds = np.array((2.0, 3.0, 0.5, 1.0, 4.0))

@@ -263,7 +263,3 @@ def test_warnings_of_a_start_point_to_the_callers_line():
             problem, twist0=off, **RUN, check="warn", solver="saddle", with_respect_to="body.mass"
         )
     assert issued[0].filename == __file__
-
-
-def test_implicit_methods_are_refused_by_name():
-    refused(free_body(), "ROS3P has no derivatives; take an explicit method", method="ROS3P")

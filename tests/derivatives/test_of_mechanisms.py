@@ -86,8 +86,9 @@ def bar_of(name, numbers, first, second, weights) -> planar.Bar:
         pytest.param({"dt": 1e-4}, marks=pytest.mark.slow),
         pytest.param({"rtol": 1e-12}, marks=pytest.mark.long),
         pytest.param({"dt": 1e-4, "cspace": "SE3", "stabilise": "project"}, marks=pytest.mark.long),
+        pytest.param({"dt": 1e-4, "method": "Rodas4"}, marks=pytest.mark.long),
     ],
-    ids=["reduced", "adaptive", "projected"],
+    ids=["reduced", "adaptive", "projected", "implicit"],
 )
 def test_derivatives_of_a_double_pendulum_are_those_of_complex_steps(options):
     pendulum = double_pendulum()
@@ -157,15 +158,15 @@ def four_bar() -> tuple[lierb.Mechanism, dict, dict]:
     return mechanism, pose0, twist0
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
-    "stabilise",
-    [pytest.param(None, marks=pytest.mark.long), pytest.param("project", marks=pytest.mark.long)],
+    ("stabilise", "method"), [(None, "RK4"), ("project", "RK4"), ("project", "Rodas4")]
 )
-def test_derivatives_of_a_closed_loop_are_those_of_complex_steps(stabilise):
+def test_derivatives_of_a_closed_loop_are_those_of_complex_steps(stabilise, method):
     mechanism, pose0, twist0 = four_bar()
     result = lierb.integrate(
         mechanism, pose0=pose0, twist0=twist0, dt=1e-4, t_end=0.2, save_every=2000, record="state",
-        stabilise=stabilise, with_respect_to=FOUR,
+        stabilise=stabilise, method=method, with_respect_to=FOUR,
     )  # fmt: skip
     weights = weights_of(result, FOUR)
     zero = np.zeros(3)

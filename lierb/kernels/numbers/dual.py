@@ -202,14 +202,31 @@ def by_chain_rule(formula: Callable[[Any], Any]) -> Callable[[Any], Any]:
 
     @wraps(formula)
     def evaluated(x: Number) -> Any:
-        if type(x) is not Dual or not x.parts:
+        if type(x) is not Dual:
             return formula(x)
-        results = formula(Dual(x.value, (1.0,)))
-        slopes = (parts_of(y) for y in results)
-        pairs = zip(results, slopes, strict=True)
-        return alike(results, (x.along(s[0], value_of(y)) if s else y for y, s in pairs))
+        if not x.parts:
+            return lifted(evaluated(x.value))
+
+        def with_slopes(z: Number) -> tuple[Any, Any]:
+            results = formula(Dual(z, (1.0,)))
+            return values(results), _first_parts(results)
+
+        return _along(x, *by_chain_rule(with_slopes)(x.value))
 
     return evaluated
+
+
+def _first_parts(x: Any) -> Any:
+    if isinstance(x, tuple):
+        return alike(x, map(_first_parts, x))
+    return parts_of(x)[0] if parts_of(x) else ZERO
+
+
+def _along(x: Dual, value: Any, slope: Any) -> Any:
+    """Apply `Dual.along` to nested tuples of values and slopes."""
+    if isinstance(value, tuple):
+        return alike(value, (_along(x, y, s) for y, s in zip(value, slope, strict=True)))
+    return value if is_zero(slope) else x.along(slope, value)
 
 
 def _either(value: Number, a: Number, b: Number) -> Dual:
@@ -226,6 +243,17 @@ def values(x: Any) -> Any:
     if isinstance(x, tuple):
         return alike(x, map(values, x))
     return value_of(x)
+
+
+def lifted(x: Any) -> Any:
+    """Return nested tuples of numbers with dual numbers as values of dual numbers without parts.
+
+    Formulas can then be differentiated along other directions: beside Dual(Dual(x, p), q), a dual
+    number that depends on those of p alone is Dual(Dual(x, p), ()).
+    """
+    if isinstance(x, tuple):
+        return alike(x, map(lifted, x))
+    return Dual(x) if isinstance(x, Dual) else x
 
 
 def parts_of(x: Number) -> tuple[Any, ...]:

@@ -1,6 +1,8 @@
 """Newton's iteration solves the equations of a step, for lanes that stop at their own turns.
 
-The Jacobian is exact, by dual numbers.
+The Jacobian is exact, by dual numbers. Where the equations depend on numbers with derivatives,
+which are `lifted`, the iteration has the values alone. The solution has the derivatives −J⁻¹∂r of
+the residual's, by the implicit function theorem.
 """
 
 from __future__ import annotations
@@ -9,7 +11,7 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from lierb.kernels.numbers.arithmetic import absolute, repeat, where
-from lierb.kernels.numbers.dual import Dual, parts_of, value_of
+from lierb.kernels.numbers.dual import Dual, lifted, parts_of, values
 from lierb.kernels.numbers.elimination import Factored
 from lierb.kernels.numbers.vec import Vec, sub
 from lierb.kernels.numbers.zero import ZERO
@@ -32,12 +34,15 @@ class Solved(NamedTuple):
 
 
 def linearised(residual: Residual, at: Vec) -> tuple[Vec, Factored]:
-    """Return the value and the factored Jacobian of a residual."""
+    """Return the residual and its factored Jacobian, without derivatives.
+
+    The residual has derivatives where the equations do.
+    """
     n = len(at)
     units = (tuple(1.0 if i == j else ZERO for j in range(n)) for i in range(n))
-    values = residual(tuple(map(Dual, at, units)))
-    rows = [list(parts_of(value) or (ZERO,) * n) for value in values]
-    return tuple(map(value_of, values)), Factored(rows)
+    found = residual(tuple(map(Dual, at, units)))
+    rows = [list(values(parts_of(value)) or (ZERO,) * n) for value in found]
+    return values(found), Factored(rows)
 
 
 def newton(residual: Residual, start: Vec, like: Any) -> Solved:
@@ -48,14 +53,16 @@ def newton(residual: Residual, start: Vec, like: Any) -> Solved:
 
     def turn(numbers: tuple[Vec, Any]) -> tuple[Any, Any]:
         unknowns, _ = numbers
-        values, factored = linearised(residual, unknowns)
-        change = factored.solve(values)
+        found, factored = linearised(residual, unknowns)
+        change = factored.solve(values(found))
         after = sub(unknowns, change)
         excess = total(change) - HALF_THE_DIGITS * total(after)
         return (after, excess), excess > 0.0
 
-    (unknowns, excess), _, _ = repeat((start, 0.0), turn, MOST_TURNS, like)
-    return Solved(unknowns, _unsolved(excess <= 0.0, total(start)))
+    begun = _plain(start)
+    (unknowns, excess), _, _ = repeat((begun, 0.0), turn, MOST_TURNS, _plain(like))
+    solution = _with_derivatives(residual, unknowns, start)
+    return Solved(solution, _unsolved(excess <= 0.0, total(begun)))
 
 
 def simplified_newton(
@@ -65,19 +72,39 @@ def simplified_newton(
 
     size : size of a change, relative to that of the unknowns.
     """
-    values, factored = linearised(residual, start)
-    change = factored.solve(values)
-    first = size(change)
+    begun = _plain(start)
+    found, factored = linearised(residual, begun)
+    change = factored.solve(values(found))
+    first = _plain(size(change))
 
     def turn(numbers: tuple[Vec, Any]) -> tuple[Any, Any]:
         unknowns, before = numbers
-        change = factored.solve(residual(unknowns))
-        now = size(change)
+        change = factored.solve(_plain(residual(unknowns)))
+        now = _plain(size(change))
         goes_on = (now > ROUNDING) & ((now > NEARLY) | (now < HALF * before))
         return (sub(unknowns, change), now), goes_on
 
-    (unknowns, last), _, _ = repeat((sub(start, change), first), turn, MOST_TURNS, like)
-    return Solved(unknowns, _unsolved(last <= NEARLY, first))
+    start_of_turns = sub(begun, change), first
+    (unknowns, last), _, _ = repeat(start_of_turns, turn, MOST_TURNS, _plain(like))
+    solution = _with_derivatives(residual, unknowns, start)
+    return Solved(solution, _unsolved(last <= NEARLY, first))
+
+
+def _plain(numbers: Any) -> Any:
+    """Return numbers, `lifted` or not, without derivatives."""
+    return values(values(numbers))
+
+
+def _with_derivatives(residual: Residual, solution: Vec, start: Vec) -> Vec:
+    """Return the solution, with the derivatives −J⁻¹∂r and `lifted` where the start is."""
+    if not any(isinstance(x, Dual) for x in start):
+        return solution
+    found, factored = linearised(residual, solution)
+    count = max(len(parts_of(x)) for x in found)
+    parts = (tuple((parts_of(x) or (ZERO,) * count)[i] for x in found) for i in range(count))
+    changes = zip(*(factored.solve(part) for part in parts), strict=True)
+    pairs = zip(solution, changes, strict=True)
+    return lifted(tuple(Dual(x, tuple(-c for c in change)) for x, change in pairs))
 
 
 def _unsolved(is_solved: Any, at_start: Any) -> Any:

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from functools import lru_cache
 from typing import Any
 
+from lierb.kernels.stepping.differentiable import DifferentiableMethod
 from lierb.kernels.stepping.generalised_alpha import GeneralisedAlpha
 from lierb.kernels.stepping.method import Method
 from lierb.kernels.stepping.rattle import Rattle
@@ -34,4 +35,5 @@ FAMILIES: dict[type[Scheme], Callable[[Any], Method]] = {
 @lru_cache(256)
 def method_of(plan: AnyPlan) -> Method:
     """Return the method of a plan, of the family of its scheme."""
-    return FAMILIES[type(plan.method)](plan.method)
+    method = FAMILIES[type(plan.method)](plan.method)
+    return DifferentiableMethod(method) if plan.moving and not plan.is_explicit else method

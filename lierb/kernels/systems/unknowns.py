@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-from lierb.kernels.numbers.dual import Dual, parts_of, value_of
+from lierb.kernels.numbers.dual import Dual, lifted, parts_of, value_of, values
 from lierb.kernels.numbers.vec import Vec
 from lierb.kernels.numbers.zero import ZERO, is_zero
 from lierb.kernels.systems.state import Rates, State
@@ -59,14 +59,16 @@ class Unknowns:
     def jacobian(self, body: Any, gravity: Any, time: Any) -> tuple[Rates, Jacobian]:
         """Return the rates at the state, with their values alone, and their derivatives.
 
-        Rates do not depend on the work.   gravity, time : as for `System.stage_rates`.
+        Numbers with derivatives along other directions are `lifted`, and so are the results. Rates
+        do not depend on the work.   gravity, time : as for `System.stage_rates`.
         """
         state, count = self.state, len(self) - self.works
         unit = iter(range(count))
 
         def varied(value: Any, slope: float) -> Dual:
             direction = next(unit)
-            return Dual(value, tuple(slope if i == direction else ZERO for i in range(count + 1)))
+            units = (slope if i == direction else ZERO for i in range(count + 1))
+            return Dual(value_of(value), tuple(units))
 
         half: list[Any] = [ZERO] * len(state.v_or_mu)  # a state holds X/2
         for i in self.places:
@@ -78,15 +80,11 @@ class Unknowns:
             v_or_mu=self.system.completed(body, tuple(speeds)),
             states=states,
         )
-        now = Dual(time, (*(ZERO,) * count, 1.0))
+        now = Dual(value_of(time), (*(ZERO,) * count, 1.0))
         rates = self.system.stage_rates(body, moved, gravity, now)
-        parts = [parts_of(rate) or (ZERO,) * (count + 1) for rate in self.of(rates)]
+        parts = [lifted(parts_of(rate)) or (ZERO,) * (count + 1) for rate in self.of(rates)]
         jacobian = Jacobian(
             [[*part[:count], *((ZERO,) * self.works)] for part in parts],
             tuple(part[count] for part in parts),
         )
-        return Rates(*map(_values, rates)), jacobian
-
-
-def _values(rate: Any) -> Any:
-    return tuple(map(value_of, rate)) if isinstance(rate, tuple) else value_of(rate)
+        return lifted(values(rates)), jacobian
