@@ -34,6 +34,7 @@ from lierb.runs.provenance import package_version
 from lierb.support.extras import is_installed, require
 
 if TYPE_CHECKING:
+    from lierb.analysis.adjoint import gradient
     from lierb.analysis.fitting import fit
     from lierb.analysis.many_fits import fits
     from lierb.analysis.propagation import propagate
@@ -46,9 +47,9 @@ __version__ = package_version()
 __all__ = [
     "TABLEAUS", "Body", "ButcherTableau", "Link", "Loop", "Mechanism", "Problem", "Result",
     "animate", "animation", "baumgarte", "bodies", "clip", "constraint", "controller",
-    "convergence", "errors", "event", "fit", "fits", "forces", "info", "integrate", "joints",
-    "lie", "log", "noise", "observable", "predict", "propagate", "quaternion", "sampling", "states",
-    "table", "turns", "variable_mass", "velocity_constraint", "warmup", "where", "wrench",
+    "convergence", "errors", "event", "fit", "fits", "forces", "gradient", "info", "integrate",
+    "joints", "lie", "log", "noise", "observable", "predict", "propagate", "quaternion", "sampling",
+    "states", "table", "turns", "variable_mass", "velocity_constraint", "warmup", "where", "wrench",
 ]  # fmt: skip
 
 # Public names of modules: `from lierb.joints import revolute`.
@@ -58,6 +59,7 @@ for _module in (animation, bodies, forces, joints, noise):
 _LATER = {
     "fit": "lierb.analysis.fitting",
     "fits": "lierb.analysis.many_fits",
+    "gradient": "lierb.analysis.adjoint",
     "propagate": "lierb.analysis.propagation",
 }
 _STUDIES = {

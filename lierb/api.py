@@ -287,11 +287,9 @@ def integrate_model(
         warn_of_switches(model, stacklevel=stacklevel + 1)
     warn_of_stiff_steps(prepared, stacklevel=stacklevel + 1)
     described = provenance(prepared)
-    check = _start_check(prepared, stacklevel + 3 + bool(parameters))
+    check = start_check(prepared, stacklevel + 3 + bool(parameters))
     try:
-        if prepared.is_checked and not model.flags_starts:
-            error = model.violation(prepared.pose0, prepared.twist0, options.timing.t0)
-            _report(error, options, stacklevel + 1)
+        report_start(prepared, stacklevel + 1)
         call = "state" in options.record, threads, progress, check
         derivatives = None
         if parameters:
@@ -308,7 +306,7 @@ def integrate_model(
     return result
 
 
-def _start_check(prepared: Ready, stacklevel: int) -> engine.StartCheck | None:
+def start_check(prepared: Ready, stacklevel: int) -> engine.StartCheck | None:
     """Return a function that checks the starts flagged by the kernels; None for no check."""
     model, options = prepared.model, prepared.options
     if not (prepared.is_checked and model.flags_starts and prepared.plan.rows):
@@ -323,6 +321,14 @@ def _start_check(prepared: Ready, stacklevel: int) -> engine.StartCheck | None:
         return True  # the flagged start is at the tolerance, up to rounding
 
     return check
+
+
+def report_start(prepared: Ready, stacklevel: int) -> None:
+    """Check a start that the kernels do not check."""
+    model, options = prepared.model, prepared.options
+    if prepared.is_checked and not model.flags_starts:
+        error = model.violation(prepared.pose0, prepared.twist0, options.timing.t0)
+        _report(error, options, stacklevel + 1)
 
 
 def _report(error: ValueError | None, options: Options, stacklevel: int) -> None:

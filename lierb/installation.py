@@ -20,6 +20,7 @@ from lierb.compiler.entries import kernels_loaded
 from lierb.compiler.internals import cache_of
 from lierb.errors import ArgumentError, brief, items_of, require_name
 from lierb.kernels.groups.lie_functions import apply
+from lierb.kernels.loops.adjoint import differentiate_blocks
 from lierb.kernels.loops.blocks import integrate_blocks
 from lierb.kernels.loops.lanes import integrate_lanes
 from lierb.kernels.mechanics.rows import parameters_of
@@ -35,6 +36,7 @@ from lierb.runs.options import check_names
 from lierb.runs.provenance import machine
 from lierb.runs.threads import threading_layer
 
+LOOPS = (integrate_blocks, integrate_lanes, differentiate_blocks, apply)
 VECTOR_FEATURES = ("sse2", "avx", "avx2", "avx512f", "neon", "sve")
 
 
@@ -73,7 +75,7 @@ def _cache() -> dict[str, Any]:
     """Describe the disk cache: its folder, the number of this version's kernels, its size."""
     if numba.config.DISABLE_JIT:
         return {"folder": None, "kernels": 0, "bytes": 0, "most_bytes": 0}
-    caches: list[DiskCache] = [cache_of(f) for f in (integrate_blocks, integrate_lanes, apply)]
+    caches: list[DiskCache] = [cache_of(f) for f in LOOPS]
     return {
         "folder": caches[0].cache_path,
         "kernels": sum(1 for each in caches for _ in sized(each.entries())),

@@ -60,6 +60,16 @@ class Runs(NamedTuple):
 
 def runs_of(times: Array, t0: Any, t_end: Any, record: list[str], options: dict[str, Any]) -> Runs:
     """Return the runs that save these times. Raises ArgumentError for an unknown option."""
+    keywords, threads = options_and_threads(options)
+    keywords |= {
+        "t0": t0, "t_end": float(times[-1]) if t_end is None else t_end, "save_at": times,
+        "record": record,
+    }  # fmt: skip
+    return Runs(keywords, threads)
+
+
+def options_and_threads(options: dict[str, Any]) -> tuple[dict[str, Any], int | None]:
+    """Return keywords of `Options.of`, and threads. Raises ArgumentError for an unknown option."""
     for name in options:
         if name not in OPTIONS:
             raise unknown_name("option", name, OPTIONS)
@@ -67,8 +77,4 @@ def runs_of(times: Array, t0: Any, t_end: Any, record: list[str], options: dict[
     threads = keywords.pop("threads", None)
     if all(keywords.get(name) is None for name in ("dt", "rtol", "atol")):
         keywords["rtol"] = RTOL
-    keywords |= {
-        "t0": t0, "t_end": float(times[-1]) if t_end is None else t_end, "save_at": times,
-        "record": record,
-    }  # fmt: skip
-    return Runs(keywords, threads)
+    return keywords, threads

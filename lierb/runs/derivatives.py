@@ -64,7 +64,7 @@ def require_differentiable(
 
     argument : of the parameters, for messages.
     """
-    for obstacle in (*_obstacles(ready), *_unfit_names(ready, parameters)):
+    for obstacle in (*obstacles(ready), *unfit_names(ready, parameters)):
         raise ArgumentError(f"{argument}: {obstacle}")
     size = derivative_bytes(ready, parameters) * ready.inputs.count
     remedy = "take fewer parameters or trajectories at a time, or save less often"
@@ -77,7 +77,7 @@ def derivative_bytes(ready: Ready, parameters: tuple[Parameter, ...]) -> int:
     return COPIES * 8 * numbers * (ready.times.saved_rows + 1)
 
 
-def _obstacles(ready: Ready) -> Iterator[str]:
+def obstacles(ready: Ready) -> Iterator[str]:
     """Yield the reasons why a run has no derivatives, with what is to be done."""
     plan = ready.plan
     if ready.inputs.state is not None:
@@ -93,21 +93,26 @@ def _obstacles(ready: Ready) -> Iterator[str]:
         )
 
 
-def _unfit_names(ready: Ready, parameters: tuple[Parameter, ...]) -> Iterator[str]:
+def unfit_names(ready: Ready, parameters: tuple[Parameter, ...]) -> Iterator[str]:
     """Yield what is wrong with names of parameters, or of columns beside them."""
     model = ready.model
     columns = (*(each.name for each in model.signals), *(each.name for each in model.observables))
     for name in columns:
         if name in ("pose", "twist"):
             yield f"{name} is a quantity of the run; name your column otherwise"
-    chosen = {p.name for p in parameters}
-    for link, space in zip(model.link_names, ready.options.formulation.cspaces, strict=True):
-        name = f"{link}.body.com" if link else "body.com"
-        if space == "SO3xR3" and name in chosen:
-            yield (
-                f'{name} cannot change on cspace="SO3xR3", where the body frame is at the centre '
-                'of mass; take cspace="SE3"'
-            )
+    for name in fixed_names(ready) & {p.name for p in parameters}:
+        yield (
+            f'{name} cannot change on cspace="SO3xR3", where the body frame is at the centre '
+            'of mass; take cspace="SE3"'
+        )
+
+
+def fixed_names(ready: Ready) -> set[str]:
+    """Return the names of parameters that cannot change in a run."""
+    links = zip(ready.model.link_names, ready.options.formulation.cspaces, strict=True)
+    return {
+        f"{link}.body.com" if link else "body.com" for link, space in links if space == "SO3xR3"
+    }
 
 
 def integrate_with_derivatives(
@@ -122,14 +127,15 @@ def integrate_with_derivatives(
 
     The values of all these runs are the same, to the bit, as those of a run without derivatives.
     """
-    plan, inputs = ready.plan, _with_poses(ready)
+    plan = ready.plan
+    start, inputs = start_and_inputs(ready)
     names = [field.name for field, _ in inputs.columns]
     moving = fields_of(parameters, names)
     if isinstance(plan, MechanismPlan) and plan.is_in_memory:  # its code looks them up by column
         moving = tuple(names[: names.index("state")])
     differentiated = plan_with_derivatives(plan, moving)
     with np.errstate(all="ignore"):  # of starts that violate their joints, which are refused later
-        directions = all_directions(parameters, _start_of(ready, inputs))
+        directions = all_directions(parameters, start)
     starts = range(0, len(directions), DIRECTIONS)
     whole: Output | None = None
     rows, ends = [], []
@@ -152,6 +158,12 @@ def _part_of(progress: Progress, number: int, runs: int) -> Progress:
     if not callable(progress):
         return progress
     return lambda done, total: progress(number * total + done, runs * total)
+
+
+def start_and_inputs(ready: Ready) -> tuple[Start, Inputs]:
+    """Return the start whose numbers change, and the inputs."""
+    inputs = _with_poses(ready)
+    return _start_of(ready, inputs), inputs
 
 
 def _with_poses(ready: Ready) -> Inputs:

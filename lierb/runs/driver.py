@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from lierb.compiler.code import compiled
 from lierb.compiler.entries import entry_of
+from lierb.compiler.tags import Tag
 from lierb.kernels.loops.sharing import integrate_on_threads
 from lierb.kernels.stepping.clock import Clock
 from lierb.kernels.systems.plan import AnyPlan, MechanismPlan
@@ -37,6 +38,11 @@ class Run(Generic[Clocks]):
     times: Clocks
     output: Output
     threads: int
+
+    @property
+    def tag(self) -> Tag:
+        """Tag for which the loop is compiled."""
+        return self.plan.code
 
     @property
     def total(self) -> tuple[int, str]:
@@ -80,14 +86,14 @@ class Run(Generic[Clocks]):
         rows *= (1 + plan.directions) * (2 if plan.moving and events_of(plan) else 1)
         size = 8 * rows * plan.lanes * self.threads
         require_memory(size, f"memory for {plan.links} links", "lower threads= of lierb.integrate")
-        return {"table": table, "memory": _aligned(rows, plan.lanes)}
+        return {"table": table, "memory": aligned(rows, plan.lanes)}
 
     def run(self, integrate: Any, counter: NDArray[np.int64], jobs: NDArray[Any]) -> float:
         """Run a loop on all threads; return the seconds taken, compilation excluded.
 
         jobs : [thread][record].
         """
-        entry = entry_of(integrate, self.plan.code, self.arrays["inputs"][0], counter, jobs[0])
+        entry = entry_of(integrate, self.tag, self.arrays["inputs"][0], counter, jobs[0])
         loop = (entry, counter, self.threads, jobs)
         run = compiled(integrate_on_threads, *loop)
         with running(self.threads):
@@ -96,7 +102,7 @@ class Run(Generic[Clocks]):
             return max(time.perf_counter() - began, 1e-6)
 
 
-def _aligned(rows: int, lanes: int) -> Array:
+def aligned(rows: int, lanes: int) -> Array:
     """Return zeros, [row][lane], that start at a cache line."""
     raw = np.zeros(rows * lanes + LINE // 8)
     skipped = -raw.ctypes.data % LINE // 8

@@ -39,8 +39,11 @@ def integrate(
     threads: int | None = None,
     progress: Progress = None,
     check: StartCheck | None = None,
+    step_times: Array | None = None,
 ) -> Output:
     """Run every trajectory to the end.
+
+    step_times : see `LaneRun`.
 
     check : function of (`Output.starts` of some trajectories, index of the first). It raises, or
         returns True to check the next trajectories. It is called before the first step or, if one
@@ -51,7 +54,8 @@ def integrate(
     used = threads_for(threads, -(-inputs.count // plan.lanes))
     run: BlockRun | LaneRun
     if isinstance(times, LaneTime):
-        run = LaneRun(plan, inputs, times, output, used)
+        noted = {} if step_times is None else {"step_times": step_times}
+        run = LaneRun(plan, inputs, times, output, used, **noted)
     else:
         run = BlockRun(plan, inputs, times, output, used)
     if check is not None and not run.checks_late:
@@ -67,6 +71,25 @@ def integrate(
                 check = None
             report(done)
     return run.result()
+
+
+def check_starts(
+    plan: AnyPlan,
+    inputs: Inputs,
+    times: StepClock,
+    threads: int | None,
+    check: StartCheck | None,
+) -> None:
+    """Check the starts of all trajectories without a step; arguments as for `integrate`."""
+    if check is None:
+        return
+    output = Output.empty(plan, inputs.count, times, False)
+    run = BlockRun(
+        plan, inputs, times, output, threads_for(threads, -(-inputs.count // plan.lanes))
+    )
+    for first, starts in run.starts():
+        if not check(starts, first):
+            break
 
 
 class BlockRun(Run[StepClock]):

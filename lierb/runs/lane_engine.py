@@ -114,8 +114,14 @@ class Events(NamedTuple):
         return np.ascontiguousarray(rows[order])
 
 
+@dataclass(frozen=True)
 class LaneRun(Run[LaneTime]):
-    """A run with one clock per lane."""
+    """A run with one clock per lane.
+
+    step_times : ends of the steps, [step][trajectory], s, to be filled in; row 0 is not.
+    """
+
+    step_times: Array = field(default_factory=lambda: np.zeros((0, 0)))
 
     @property
     def total(self) -> tuple[int, str]:
@@ -159,6 +165,7 @@ class LaneRun(Run[LaneTime]):
             "noise_indices": np.ascontiguousarray(times.numbers[None]),
             "kinds": times.kinds,
             "jumps": times.jumps[None],
+            "step_times": self.step_times,
         }
 
     @cached_property

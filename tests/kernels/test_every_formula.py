@@ -151,6 +151,7 @@ OF_SOLVERS = (
 # What makes dual numbers, drops their derivatives or freezes axes. tests/derivatives holds it
 # against complex steps and closed forms.
 OF_DERIVATIVES = (
+    "loops.adjoint.",
     "loops.record.load_",
     "loops.record.store_carried",
     "loops.tables.store_state",
@@ -158,6 +159,7 @@ OF_DERIVATIVES = (
     "mechanics.elements.moving",
     "mechanics.elements.second",
     "mechanics.newton_euler.principal_axes_at_point",
+    "stepping.differentiable.",
     "systems.derivatives.",
     "systems.one_body.OneBody.body",
 )

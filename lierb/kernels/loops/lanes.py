@@ -255,6 +255,7 @@ def integrate_lanes(plan, inputs, counter, jobs):
         job.states_atol, job.dt_min, job.dt_max, job.max_steps, job.position_is_own, job.v_is_own,
     )  # fmt: skip
     carried, events, jumps = numbers_at(own.carried), numbers_at(own.events), numbers_at(job.jumps)
+    step_times = numbers_at(job.step_times)
     room = events.shape[0] - ws.most_events(inputs.shape[1], own.watched) - 1
     is_new = own.begin == 0
     body = load_body(plan, inputs, integers_at(own.table), numbers_at(own.memory))
@@ -297,6 +298,11 @@ def integrate_lanes(plan, inputs, counter, jobs):
                 )  # fmt: skip
             take_next(plan, body, accepted)
             lanes = steps.moved_to(lanes, moved, accepted)
+            if step_times.shape[0] > 0:
+                put_row(plan, rows, ws.SELECTED, accepted)
+                put_row(plan, rows, ws.STEPS, lanes.clock.steps)
+                put_row(plan, rows, ws.ENDED_AT, lanes.clock.t)
+                ws.note_steps(rows, step_times)
             fresh = select(failed, failed, accepted)
         ticks = steps.to_tick(plan, body, lanes, fresh, termination)
         if any_of(ticks):

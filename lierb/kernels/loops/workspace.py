@@ -36,8 +36,9 @@ from lierb.kernels.systems.measures import SUMMARY
     EVENT_INDEX,
     LOW, HIGH, AT_LOW, AT_HIGH,  # bracket of a root: θ and the event's value at both ends
     LAST,  # θ of the first terminal event in the step; 2 for none
+    STEPS, ENDED_AT,  # number of a step that is noted, and its end, s
     ROWS,
-) = range(19)  # fmt: skip
+) = range(21)  # fmt: skip
 # Words exchanged between a loop and the services.
 KIND, TASK, TURN, FIRST_EVENT, TRIES, IS_NEW, ANY_ACTIVE, SHARE, SHARE_END, REQUEST = range(10)
 TAKE_NEXT, COPY_ENDS, COPY_ROW = range(3)  # kinds of requests to `serve`
@@ -73,6 +74,15 @@ def serve(service, inputs, counter, jobs):
         copy_ends(rows, own, job, lanes)
     else:
         copy_row(rows, own, job, lanes)
+
+
+@shared
+def note_steps(rows, step_times):
+    """Note the ends of steps of the selected lanes, as far as there is room."""
+    for lane in range(rows.shape[1]):
+        step = int(rows[STEPS, lane])
+        if rows[SELECTED, lane] > 0.0 and step < step_times.shape[0]:
+            step_times[step, int(rows[TRAJECTORY, lane])] = rows[ENDED_AT, lane]
 
 
 @shared

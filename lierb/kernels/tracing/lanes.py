@@ -16,6 +16,7 @@ from llvmlite import ir
 
 from lierb.compiler.internals import cgutils
 from lierb.kernels.numbers.arithmetic import Turn, flatten, joined, plain, refilled, where
+from lierb.kernels.numbers.tape import Tape
 from lierb.kernels.tracing.cpu import HAS_FMA
 
 DOUBLE = ir.DoubleType()
@@ -57,16 +58,18 @@ class Trace:
 
     builder : builder of the emitted LLVM code.   target : Numba's target context; None for a trace
     that is thrown away.   rounds_twice : True if `fma` rounds as in NumPy.   assumed : masks that
-    formulas have taken for granted; None if assumptions are not allowed.
+    formulas have taken for granted; None if assumptions are not allowed.   tape : of the linear
+    numbers in the formula, if any.
     """
 
-    __slots__ = ("assumed", "builder", "declared", "rounds_twice", "target")
+    __slots__ = ("assumed", "builder", "declared", "rounds_twice", "tape", "target")
 
     def __init__(self, builder: ir.IRBuilder, target: Any = None) -> None:
         self.builder = builder
         self.target = target
         self.rounds_twice = not HAS_FMA
         self.assumed: list[Mask] | None = None
+        self.tape = Tape()
         self.declared: dict[tuple[str, int], ir.Function] = {}
 
     def intrinsic(self, name: str, operands: Sequence[Any]) -> Lane:
@@ -350,23 +353,35 @@ class Predicate(Traced):
         likely : True if the first block runs nearly always. LLVM then moves the other block to
             the end, and reserves no registers for its values.
         """
-        trace, builder = self.trace, self.builder
+        trace, builder, tape = self.trace, self.builder, self.trace.tape
+        begin = len(tape.operations)
         with builder.if_else(self.value, likely=likely) as (first, second):
             with first:
                 left = then()
-                left_block = builder.block
+                left_block, middle = builder.block, len(tape.operations)
             with second:
                 right = otherwise()
-                right_block = builder.block
+                right_block, end = builder.block, len(tape.operations)
 
-        def merged(a: Any, b: Any) -> Lane:
+        def merged(predicate: Mask, a: Any, b: Any) -> Lane:
             widest = _widest_type((a, b))
             phi = builder.phi(widest)
             phi.add_incoming(_at_end_of(left_block, a, widest), left_block)
             phi.add_incoming(_at_end_of(right_block, b, widest), right_block)
             return Lane(trace, phi)
 
-        return joined(left, right, merged)
+        def or_zero(own: ir.Block, other: ir.Block, x: Any) -> Any:
+            """Return a factor or mask of a side behind the branch: zero if the other side ran."""
+            if not isinstance(x, Traced):
+                return x
+            phi = builder.phi(x.value.type)
+            phi.add_incoming(x.value, own)
+            phi.add_incoming(ir.Constant(x.value.type, None), other)
+            return type(x)(trace, phi)
+
+        tape.replace(begin, middle, partial(or_zero, left_block, right_block))
+        tape.replace(middle, end, partial(or_zero, right_block, left_block))
+        return joined(left, right, partial(merged, Mask(trace, self.value)))
 
 
 def _widest_type(numbers: Sequence[Any]) -> ir.Type:

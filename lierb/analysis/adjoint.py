@@ -1,0 +1,234 @@
+"""`gradient` differentiates one number at the end of a run by all parameters, by its adjoint."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from lierb.analysis.varied_runs import options_and_threads
+from lierb.api import checked_model, report_start, start_check
+from lierb.errors import ArgumentError, FailedTrajectoryWarning, unknown_name
+from lierb.kernels.systems.plan import MechanismPlan
+from lierb.kernels.systems.system_of import plan_with_derivatives
+from lierb.model.base import Model
+from lierb.model.mechanism.mechanism import Mechanism
+from lierb.model.problem import Problem
+from lierb.runs.adjoint import gains_of
+from lierb.runs.derivatives import fixed_names, obstacles, start_and_inputs, unfit_names
+from lierb.runs.options import Options
+from lierb.runs.parameters import Parameter, chosen_parameters, parameters_by_name
+from lierb.runs.starts import Ready, ready
+from lierb.runs.stiffness import warn_of_stiff_steps
+from lierb.runs.switches import warn_of_switches
+from lierb.support.arrays import Array
+from lierb.support.progress import Progress, check_progress
+from lierb.support.representations import Lines, Represented, counted
+
+ENERGY = "energy"
+
+
+@dataclass(frozen=True, repr=False, eq=False)
+class Gradient(Represented):
+    """Gradient of one number at the end of each trajectory.
+
+    `gradient["body.mass"]` is an array (n, k), for the k numbers of a parameter; a failed
+    trajectory has NaN.
+
+    Attributes
+    ----------
+    of : str
+        Name of the number.
+    value : ndarray, shape (n,)
+        The number at the end of each trajectory.
+    parts : dict of ndarray, shape (n, k)
+        Derivatives by the numbers of each parameter.
+    units : dict of str
+        Unit of each parameter.
+    """
+
+    of: str
+    value: Array
+    parts: dict[str, Array]
+    units: dict[str, str]
+
+    def __getitem__(self, name: str) -> Array:
+        if name not in self.parts:
+            raise unknown_name("parameter", name, self.parts)
+        return self.parts[name]
+
+    def _representation(self) -> tuple[str, Lines]:
+        title = f"gradient of {self.of}, {counted(len(self.value), 'trajectory')}"
+        rows = [
+            (name, f"{np.array2string(part[0], precision=6)} per {self.units[name]}")
+            for name, part in self.parts.items()
+        ]
+        return title, rows
+
+
+def gradient(
+    problem: Problem | Mechanism,
+    of: str,
+    with_respect_to: str | Iterable[str] | None = None,
+    *,
+    twist0: ArrayLike | Mapping[str, ArrayLike] | None = None,
+    pose0: Any = None,
+    t_end: float,
+    t0: float = 0.0,
+    progress: Progress = None,
+    **options: Any,
+) -> Gradient:
+    """Differentiate one number at the end of a run by its start and all numbers of the model.
+
+    The cost does not depend on the number of parameters: it is that of about four runs. For few
+    parameters or many numbers, take `with_respect_to` of `integrate`.
+
+    Parameters
+    ----------
+    problem : Problem or Mechanism
+        The body or mechanism; batched or shared.
+    of : str
+        Name of an observable of one number (`lierb.observable`), or "energy". An integral over the
+        run is the end value of an extra state (`lierb.states`) that an observable returns.
+    with_respect_to : str or iterable of str, optional
+        Parameters, as in `integrate`. Default: all.
+    twist0 : array_like, shape (6,) or (n, 6), or dict of them, optional
+        Twist at t0, as in `integrate`.
+    pose0 : array_like, Rotation or RigidTransform, (4, 4) or (n, 4, 4), or dict of them, optional
+        Pose at t0, as in `integrate`.
+    t_end : float
+        End time, s.
+    t0 : float, optional
+        Start time, s.
+    progress : bool or callable, optional
+        As in `integrate`.
+    **options : object
+        Options of `integrate`, such as dt, rtol, method, cspace and threads. Default: rtol=1e-9.
+
+    Returns
+    -------
+    Gradient
+        Value and derivatives for each trajectory.
+
+    Raises
+    ------
+    LierbError
+        An argument is wrong, or the run has no adjoint: it has controllers or terminal events, its
+        code is looped, or a function runs body by body.
+    MemoryLimitError
+        Gradients are larger than the free memory.
+
+    Warns
+    -----
+    FailedTrajectoryWarning
+        Some trajectories have failed, and their gradients are NaN.
+    DerivativeWarning
+        A force or function switches by a comparison.
+
+    Notes
+    -----
+    The run is made once, with its steps; then all steps are differentiated backwards, each by the
+    transposed Jacobian. Adaptive steps keep their lengths, which have no derivatives. Directions of
+    a start are projected onto the motions that the joints admit, as in `integrate`.
+
+    References
+    ----------
+    Griewank and Walther, Evaluating Derivatives (2008); Cao, Li, Petzold and Serban, SIAM J. Sci.
+    Comput. 24 (2003).
+
+    Examples
+    --------
+    >>> import lierb
+    >>> @lierb.observable
+    ... def height(r):
+    ...     return r[2]
+    >>> ball = lierb.Problem(
+    ...     lierb.bodies.sphere(0.1, mass=1.0), lierb.joints.free(), gravity=(0.0, 0.0, -9.81),
+    ...     observables=height(),
+    ... )
+    >>> thrown = lierb.gradient(ball, "height", twist0=(0, 0, 0, 0, 0, 3), dt=0.01, t_end=0.5)
+    >>> thrown["twist0"].round(9).tolist()[0][5], thrown["gravity"].round(9).tolist()[0][2]
+    (0.5, 0.125)
+    """
+    model = checked_model(problem)
+    model.require_unchanged()
+    check_progress(progress)
+    keywords, threads = options_and_threads(options)
+    chosen = None if with_respect_to is None else chosen_parameters(model, with_respect_to)
+    prepared = ready(model, Options.of(model, t0=t0, t_end=t_end, **keywords), pose0, twist0)
+    parameters = chosen or tuple(_all(prepared))
+    reasons = (*obstacles(prepared), *unfit_names(prepared, parameters), *_obstacles(prepared))
+    for obstacle in reasons:
+        raise ArgumentError(f"lierb.gradient: {obstacle}")
+    number = _number(model, of)
+    warn_of_switches(model, stacklevel=3)
+    warn_of_stiff_steps(prepared, stacklevel=3)
+    report_start(prepared, 3)
+    start, inputs = start_and_inputs(prepared)
+    prepared = prepared._replace(inputs=inputs)
+    fields = [f.name for f, _ in inputs.columns if f.name != "state"]
+    plan = plan_with_derivatives(prepared.plan, tuple(fields))
+    gains = gains_of(prepared, plan, number, threads, progress, start_check(prepared, 5))
+    failed = int(np.isnan(gains[-1]).sum())
+    if failed:
+        warnings.warn(
+            f"{counted(failed, 'trajectory')} failed and have no gradient; "
+            "lierb.integrate says why",
+            FailedTrajectoryWarning,
+            stacklevel=2,
+        )
+    parts = {p.name: _part(p, prepared, start, gains) for p in parameters}
+    return Gradient(of, gains[-1], parts, {p.name: p.unit for p in parameters})
+
+
+def _all(prepared: Ready) -> Iterator[Parameter]:
+    """Yield all parameters that can change but omega0, which is a part of twist0."""
+    fixed = fixed_names(prepared)
+    for name, parameter in parameters_by_name(prepared.model).items():
+        if name not in fixed and not name.endswith("omega0"):
+            yield parameter
+
+
+def _number(model: Model, of: Any) -> int:
+    """Return the number of an objective; see `lierb.kernels.loops.adjoint.Adjoint`."""
+    names = [ENERGY, *(each.name for each in model.observables)]
+    if not (isinstance(of, str) and of in names):
+        raise unknown_name("of", of, names)
+    return names.index(of)
+
+
+def _obstacles(prepared: Ready) -> Iterator[str]:
+    """Yield the reasons why a run has no adjoint, beside those for derivatives."""
+    model, plan = prepared.model, prepared.plan
+    if isinstance(plan, MechanismPlan) and plan.is_in_memory:
+        yield 'looped code has no adjoint; take solver="unrolled", or integrate(with_respect_to=…)'
+    if model.controllers:
+        yield (
+            f"{model.controllers[0].name} is a controller, which an adjoint does not go through; "
+            "take integrate(with_respect_to=…)"
+        )
+    terminal = [event.name for event in model.events if event.terminal]
+    if terminal:
+        yield (
+            f"{terminal[0]} ends trajectories at times of their own; leave it out, or take "
+            "integrate(with_respect_to=…)"
+        )
+
+
+def _part(parameter: Parameter, prepared: Ready, start: Any, gains: Array) -> Array:
+    """Return the derivatives by the numbers of a parameter, (n, k)."""
+    columns, count = prepared.inputs.columns, gains.shape[1]
+    total = np.zeros((count, parameter.size))
+    with np.errstate(all="ignore"):  # of starts that violate their joints
+        seeds = parameter.seeds(start)
+    for field, array in seeds.items():
+        total += (
+            np.einsum("kjc,cn->nk", array, gains[columns[field]])
+            if array.shape[1] == 1
+            else (np.einsum("knc,cn->nk", array, gains[columns[field]]))
+        )
+    return total

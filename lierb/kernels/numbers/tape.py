@@ -1,0 +1,161 @@
+"""A tape records the linear part of a formula, to be evaluated backwards.
+
+A formula on `Dual` numbers whose parts are `Linear` computes its values as ever. The parts are no
+numbers but places on a tape: a list of linear operations, whose coefficients are those values. From
+the gains of an objective by the formula's results the tape gives its gains by the inputs. This is
+the transposed Jacobian times a vector, in as many operations as the formula's derivative along one
+direction.
+
+Griewank and Walther, Evaluating Derivatives (2008), chapter 6.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from functools import partial
+from typing import Any, NamedTuple
+
+from lierb.kernels.numbers.arithmetic import fma, where
+from lierb.kernels.numbers.dual import Dual, parts_of
+from lierb.kernels.numbers.number import Number
+from lierb.kernels.numbers.zero import ZERO, is_zero
+
+
+class Operation(NamedTuple):
+    """An operation is Σ factorᵢ xᵢ or, with a mask, a choice of x₀ where it holds, x₁ elsewhere.
+
+    terms : (factor, place of x); a factor of None stands for 1.   mask : None for a sum.
+    """
+
+    terms: tuple[tuple[Any, int], ...]
+    mask: Any = None
+
+
+class Tape:
+    """A tape has inputs, numbered in the order of their making, and operations."""
+
+    def __init__(self) -> None:
+        self.operations: list[Operation] = []
+        self.inputs: list[int] = []  # places
+
+    def input(self) -> Linear:
+        """Return the next input."""
+        place = self._add(())
+        self.inputs.append(place.place)
+        return place
+
+    def opened(self, numbers: Any) -> list[Dual]:
+        """Return numbers as dual numbers, each with an input of its own."""
+        return [Dual(x, (self.input(),)) for x in numbers]
+
+    def gains(self, results: Iterable[tuple[Number, Number]]) -> list[Any]:
+        """Return the gains of an objective by all inputs; structural zeros where there are none.
+
+        results : numbers of the formula, each with the objective's gain by it.
+        """
+        gained: dict[int, Any] = {}
+
+        def add(place: int, gain: Any) -> None:
+            gained[place] = gained[place] + gain if place in gained else gain
+
+        for number, gain in results:
+            for part in parts_of(number):
+                if isinstance(part, Linear):
+                    add(part.place, gain)
+        for place in range(len(self.operations) - 1, -1, -1):
+            terms, mask = self.operations[place]
+            if place not in gained or not terms:
+                continue
+            gain = gained.pop(place)
+            if mask is not None:
+                (_, first), (_, second) = terms
+                if first >= 0:
+                    add(first, where(mask, gain, 0.0))
+                if second >= 0:
+                    add(second, where(mask, 0.0, gain))
+                continue
+            for factor, x in terms:
+                if factor is None:
+                    add(x, gain)
+                elif x in gained:
+                    gained[x] = fma(factor, gain, gained[x])
+                else:
+                    add(x, factor * gain)
+        return [gained.get(place, ZERO) for place in self.inputs]
+
+    def replace(self, first: int, last: int, replaced: Callable[[Any], Any]) -> None:
+        """Replace the factors and masks of some operations."""
+        for i in range(first, last):
+            terms, mask = self.operations[i]
+            pairs = ((x if x is None else replaced(x), place) for x, place in terms)
+            self.operations[i] = Operation(tuple(pairs), None if mask is None else replaced(mask))
+
+    def _add(self, terms: tuple[tuple[Any, int], ...], mask: Any = None) -> Linear:
+        self.operations.append(Operation(terms, mask))
+        return Linear(self, len(self.operations) - 1)
+
+
+NOWHERE = -1  # place of a zero
+
+
+class Linear:
+    """A linear number is the result of an operation on a tape; factors are other numbers."""
+
+    __slots__ = ("place", "tape")
+    __array_ufunc__: Any = None
+    rank = 5
+
+    def __init__(self, tape: Tape, place: int) -> None:
+        self.tape = tape
+        self.place = place
+
+    def __add__(self, other: Any) -> Any:
+        return self._sum(other, None)
+
+    __radd__ = __add__
+
+    def __sub__(self, other: Any) -> Any:
+        return self._sum(other, -1.0)
+
+    def __rsub__(self, other: Any) -> Any:
+        return (-self) + other
+
+    def __neg__(self) -> Linear:
+        return self.tape._add(((-1.0, self.place),))
+
+    def __mul__(self, factor: Any) -> Any:
+        return ZERO if is_zero(factor) else self.tape._add(((factor, self.place),))
+
+    __rmul__ = __mul__
+
+    def _sum(self, other: Any, factor: Any) -> Any:
+        if _is_nothing(other):
+            return self
+        return self.tape._add(((None, self.place), (factor, other.place)))
+
+    @staticmethod
+    def fma(a: Any, b: Any, c: Any) -> Any:
+        x, factor = (a, b) if isinstance(a, Linear) else (b, a)
+        if not isinstance(x, Linear):
+            return c if _is_nothing(a) or _is_nothing(b) else a * b + c
+        if is_zero(factor):
+            return c
+        if _is_nothing(c):
+            return x * factor
+        return x.tape._add(((factor, x.place), (None, c.place)))
+
+    @staticmethod
+    def joined(a: Any, b: Any, join: partial[Any]) -> Any:
+        """Choose one of two numbers.   join : function whose first argument is a mask."""
+        if isinstance(a, Linear) and isinstance(b, Linear) and a.place == b.place:
+            return a
+        (mask,) = join.args
+        tape = (a if isinstance(a, Linear) else b).tape
+        places = ((None, x.place if isinstance(x, Linear) else NOWHERE) for x in (a, b))
+        choice: Linear = tape._add(tuple(places), mask)
+        return choice
+
+
+def _is_nothing(x: Any) -> bool:
+    """Return whether a number is a constant zero."""
+    return is_zero(x) or (isinstance(x, float) and x == 0.0)

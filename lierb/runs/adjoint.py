@@ -1,0 +1,175 @@
+"""Adjoint runs: the gradient of one number at the end of each trajectory, by all its inputs."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lierb.kernels.loops.adjoint import Adjoint, begun, differentiate_blocks, marked, marks, moving
+from lierb.kernels.loops.job import BODIES, job_of, jobs_of
+from lierb.kernels.numbers.tape import Tape
+from lierb.kernels.stepping.clock import StepClock, time_of
+from lierb.kernels.stepping.method import Interval
+from lierb.kernels.systems.system_of import system_of
+from lierb.runs import engine
+from lierb.runs.driver import Run, aligned
+from lierb.runs.lane_engine import LaneTime
+from lierb.runs.output import Output
+from lierb.runs.starts import Ready
+from lierb.runs.threads import CALL_SECONDS, threads_for
+from lierb.support.arrays import Array
+from lierb.support.memory import require_memory
+from lierb.support.progress import BODY_STEPS, Progress, reporter
+
+MOST_KEPT = 1 << 25  # bytes of a thread for the states of all steps; with more, some are made again
+# Ends of adaptive steps that are noted at first: of all trajectories, and of each one.
+FIRST_STEPS, LEAST_ROOM, MOST_ROOM = 1 << 23, 64, 4096
+FIRST_CALL_STEPS = 2000  # steps of a block in a thread's first call
+
+
+@dataclass(frozen=True)
+class AdjointRun(Run[Any]):
+    """A run whose steps are known, differentiated backwards.
+
+    number : of the objective, see `Adjoint`.   step_times : ends of the steps, [step][trajectory or
+    1], s; row 0 has the start.
+    """
+
+    number: int
+    step_times: Array
+
+    @cached_property
+    def tag(self) -> Adjoint:
+        return Adjoint(self.plan, self.number)
+
+    @property
+    def steps(self) -> int:
+        return len(self.step_times) - 1
+
+    @property
+    def total(self) -> tuple[int, str]:
+        return self.inputs.count * self.steps, BODY_STEPS
+
+    def calls(self, begin: int = 0) -> Iterator[int]:
+        """Differentiate some trajectories after the others; yield the work done."""
+        lanes, count, first = self.plan.lanes, self.inputs.count, 0
+        size = max(FIRST_CALL_STEPS // self.steps, 1) * lanes * self.threads
+        while first < count:
+            stop = min(first + size, count)
+            numbers = self.numbers | {"first": first, "stop": stop}
+            jobs = jobs_of(*(job_of(self.arrays | own, numbers) for own in self.memories))
+            seconds = self.run(differentiate_blocks, np.zeros(2, dtype=np.int64), jobs)
+            blocks = max(int((stop - first) / lanes * CALL_SECONDS / seconds), self.threads)
+            first, size = stop, blocks * lanes
+            yield stop * self.steps
+
+    @cached_property
+    def gains(self) -> Array:
+        """Gains by the inputs, then the objective, [column][trajectory]."""
+        return np.empty((self.tag.inputs + 1, self.inputs.count))
+
+    @cached_property
+    def every(self) -> int:
+        """Number of steps between states that are kept: 1, or about the root of the steps'."""
+        kept = 8 * self.plan.lanes * self.rows[1] * self.steps
+        return 1 if kept <= MOST_KEPT else math.isqrt(self.steps)
+
+    @cached_property
+    def rows(self) -> tuple[int, int]:
+        """Return how many rows of memory the gains and a state take."""
+        system = system_of(self.tag.plain)
+        given = [np.atleast_1d(x) for x in self.inputs.numbers(0)]
+        tape = Tape()
+        with np.errstate(all="ignore"):
+            of_inputs = marked(system_of(self.plan).body(tape.opened(given)))
+            at = Interval(given[0], given[0], given[0])
+            state = begun(self.tag.plain, system.body(given), given, at)
+        numbers = len(moving(state))
+        return self.tag.inputs + marks(of_inputs) + numbers, numbers
+
+    @cached_property
+    def numbers(self) -> dict[str, float]:
+        times = self.times
+        return {
+            "dt": times.dt if isinstance(times, StepClock) else 0.0, "end": times.end,
+            "steps": self.steps, "kept_every": self.every, "differ": BODIES,
+            "first_row": self.rows[0], "state_rows": self.rows[1],
+        }  # fmt: skip
+
+    @cached_property
+    def memories(self) -> list[dict[str, NDArray[Any]]]:
+        """Return the memory of each thread."""
+        gains, state = self.rows
+        rows = gains + state * (-(-self.steps // self.every) + self.every)
+        size = 8 * rows * self.plan.lanes * self.threads
+        require_memory(size, "the states of all steps", "lower threads= or take fewer steps")
+        return [{"memory": aligned(rows, self.plan.lanes)} for _ in range(self.threads)]
+
+    @cached_property
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        return super().arrays | {"step_times": self.step_times, "gains": self.gains}
+
+
+def gains_of(
+    ready: Ready,
+    plan: Any,
+    number: int,
+    threads: int | None,
+    progress: Progress,
+    check: engine.StartCheck | None,
+) -> Array:
+    """Return gains of a number at the end by all inputs, then the number, [column][trajectory].
+
+    plan : of the run, with derivatives of all inputs.   number : see `Adjoint`.
+    """
+    times, inputs = ready.times, ready.inputs
+    if isinstance(times, StepClock):
+        engine.check_starts(ready.plan, inputs, times, threads, check)
+        ends = np.array([[time_of(times, k)] for k in range(times.steps + 1)])
+    else:
+        ends = _step_times(ready, threads, progress, check)
+    output = Output.empty(ready.plan, 1, times, with_state=False)
+    used = threads_for(threads, -(-inputs.count // plan.lanes))
+    run = AdjointRun(plan, inputs, times, output, used, number, ends)
+    with reporter(progress, *run.total) as report:
+        for done in run.calls():
+            report(done)
+    return run.gains
+
+
+def _step_times(
+    ready: Ready, threads: int | None, progress: Progress, check: engine.StartCheck | None
+) -> Array:
+    """Run and return the ends of all steps, [step][trajectory], s; the last one is repeated."""
+    times, count = ready.times, ready.inputs.count
+    assert isinstance(times, LaneTime)
+    room = min(max(FIRST_STEPS // count, LEAST_ROOM), MOST_ROOM)
+    width = -(-count // ready.plan.lanes) * ready.plan.lanes  # full blocks
+    while True:
+        remedy = "take fewer trajectories at a time, or a larger tolerance"
+        require_memory(8 * room * width, "the ends of all steps", remedy)
+        ends = np.empty((room, width))
+        output = engine.integrate(
+            ready.plan, ready.inputs, times, False, threads, progress, check, step_times=ends
+        )
+        steps = output.of_lanes("steps").astype(np.int64)
+        most = int(steps.max(initial=1))
+        if most < room:
+            break
+        room, check = most + 1, None
+    ends = ends[: most + 1]
+    ends[0] = times.span.start
+    ends[:, count:] = times.span.start
+    steps = np.pad(steps, (0, width - count))
+    after = np.arange(most + 1)[:, None] > steps
+    last = ends[steps, np.arange(width)]
+    ends[after] = np.broadcast_to(last, ends.shape)[after]
+    failed = output.status != 0
+    ends[:, :count][:, failed] = np.nan
+    return ends
