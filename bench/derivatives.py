@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +24,7 @@ from cases import top
 from mechanisms.shared import double_pendulum
 
 COUNT, REPEATS = 2048, 5
-Run = Callable[..., lierb.Result]
+Run = partial[object]  # a call of lierb.integrate, or with adjoint=True of lierb.gradient
 
 
 def runs() -> dict[str, tuple[Run, dict[int, list[str]]]]:
@@ -42,20 +42,14 @@ def runs() -> dict[str, tuple[Run, dict[int, list[str]]]]:
     }  # fmt: skip
 
     def turning(**options: Any) -> Run:
-        return lambda **more: lierb.integrate(
-            problem, twist0=twist + spread, t_end=0.99, threads=1, **options, **more
-        )
+        return partial(call, problem, twist0=twist + spread, t_end=0.99, **options)
 
     def swinging(**options: Any) -> Run:
-        return lambda **more: lierb.integrate(
-            pendulum, **hanging, t_end=0.5, threads=1, **options, **more
-        )
+        return partial(call, pendulum, **hanging, t_end=0.5, **options)
 
     def hanging_chain(links: int) -> Run:
         chain, start = swinging_chain(links, COUNT // 8)
-        return lambda **more: lierb.integrate(
-            chain, **start, dt=1e-3, t_end=0.5, threads=1, solver="looped", **more
-        )
+        return partial(call, chain, **start, dt=1e-3, t_end=0.5, solver="looped")
 
     of_chain = {
         1: ["link0.body.mass"], 3: ["link1.body.com"],
@@ -72,6 +66,12 @@ def runs() -> dict[str, tuple[Run, dict[int, list[str]]]]:
         "chain of 8 links, RK4, looped": (hanging_chain(8), of_chain),
         "chain of 20 links, RK4, looped": (hanging_chain(20), of_chain),
     }
+
+
+def call(model: Any, adjoint: bool = False, **run: Any) -> object:
+    if adjoint:
+        return lierb.gradient(model, "energy", "gravity", threads=1, **run)
+    return lierb.integrate(model, threads=1, **run)
 
 
 def swinging_chain(count: int, trajectories: int) -> tuple[lierb.Mechanism, dict[str, Any]]:
@@ -93,25 +93,30 @@ def swinging_chain(count: int, trajectories: int) -> tuple[lierb.Mechanism, dict
 
 
 def ratios(run: Run, parameters: dict[int, list[str]]) -> list[float]:
-    """Return the CPU times with k directions, as multiples of that without."""
-    calls = [(), *parameters.values()]
-    for names in calls:
-        run(with_respect_to=names)  # compile
+    """Return the CPU times with k directions and of the adjoint, as multiples of that without.
+
+    Looped code has no adjoint.
+    """
+    calls = [partial(run, with_respect_to=names) for names in ((), *parameters.values())]
+    if run.keywords.get("solver") != "looped":
+        calls.append(partial(run, adjoint=True))
+    for each in calls:
+        each()  # compile
     least = [float("inf")] * len(calls)
     for _ in range(REPEATS):
-        for i, names in enumerate(calls):
+        for i, each in enumerate(calls):
             began = time.process_time()
-            run(with_respect_to=names)
+            each()
             least[i] = min(least[i], time.process_time() - began)
     return [seconds / least[0] for seconds in least[1:]]
 
 
 def main() -> None:
     print(f"{lierb.info()['cpu']}, {COUNT} trajectories, one thread")
-    print("| | k = 1 | 3 | 12 |\n|---|---|---|---|")
+    print("| | k = 1 | 3 | 12 | adjoint |\n|---|---|---|---|---|")
     for title, (run, parameters) in runs().items():
-        cells = " | ".join(f"{ratio:.1f}" for ratio in ratios(run, parameters))
-        print(f"| {title} | {cells} |", flush=True)
+        cells = [f"{ratio:.1f}" for ratio in ratios(run, parameters)]
+        print(f"| {title} | {' | '.join([*cells, '–'][:4])} |", flush=True)
 
 
 if __name__ == "__main__":

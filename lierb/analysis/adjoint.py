@@ -225,10 +225,7 @@ def _part(parameter: Parameter, prepared: Ready, start: Any, gains: Array) -> Ar
     total = np.zeros((count, parameter.size))
     with np.errstate(all="ignore"):  # of starts that violate their joints
         seeds = parameter.seeds(start)
-    for field, array in seeds.items():
-        total += (
-            np.einsum("kjc,cn->nk", array, gains[columns[field]])
-            if array.shape[1] == 1
-            else (np.einsum("knc,cn->nk", array, gains[columns[field]]))
-        )
+    for field, array in seeds.items():  # [direction][trajectory or 1][number]
+        for of_number, gain in zip(np.moveaxis(array, -1, 0), gains[columns[field]], strict=True):
+            total += of_number.T * gain[:, None]  # in one order, whatever the batch
     return total

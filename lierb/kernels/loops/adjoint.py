@@ -25,7 +25,6 @@ from lierb.kernels.loops.lane_steps import inside
 from lierb.kernels.loops.record import load_values
 from lierb.kernels.loops.sharing import pack, take_share
 from lierb.kernels.numbers.arithmetic import (
-    absolute,
     alike,
     class_of,
     flatten,
@@ -42,11 +41,14 @@ from lierb.kernels.numbers.zero import is_zero
 from lierb.kernels.stepping.lane_clock import Trial
 from lierb.kernels.stepping.method import Interval
 from lierb.kernels.stepping.method_of import method_of
+from lierb.kernels.systems.extra_states import Control, with_signals
 from lierb.kernels.systems.plan import AnyPlan
+from lierb.kernels.systems.signals import states_of
 from lierb.kernels.systems.state import State
 from lierb.kernels.systems.system_of import system_of
 from lierb.kernels.tracing.trace import kernel
 
+NO_CONTROL = Control((), (), ())
 MARK = (1.0,)  # parts of a number of the body that has gains
 
 
@@ -171,6 +173,9 @@ def with_start_rank(run: Adjoint, bodies: tuple[Any, Any], state: State) -> tupl
 def begun(plan: AnyPlan, body: Any, numbers: list[Any], at: Interval) -> State:
     system = system_of(plan)
     state = system.start(body, system.placed(body, numbers), numbers)
+    if states_of(plan):
+        own, zero = system.initial_states(body, state), 0.0 * body.mass
+        state = state._replace(states=tuple(zero + x for x in own))
     return method_of(plan).started(system, body, state, at) if state.carried else state
 
 
@@ -195,8 +200,8 @@ def _stepped(plan: AnyPlan, body: Any, state: State, at: Interval) -> State:
         moved = moved._replace(v_or_mu=system_of(plan).silenced(body, moved.v_or_mu, off <= 0.5))
     if plan.has_lane_clocks:  # trajectories that have ended stay
         pairs = zip(flatten(moved), flatten(state), strict=True)
-        goes_on = absolute(at.h) > 0.0
-        moved = refilled(state, (x if is_constant(y) else where(goes_on, x, y) for x, y in pairs))
+        has_ended = at.h == 0.0
+        moved = refilled(state, (x if is_constant(y) else where(has_ended, y, x) for x, y in pairs))
     return moved
 
 
@@ -222,6 +227,7 @@ def kept(run: Adjoint, like: State, memory: Any, row: Any) -> State:
 
 def objective(run: Adjoint, body: Any, state: State, time: Any) -> Any:
     system = system_of(run.plan)
+    body = with_signals(run.plan, body, state, NO_CONTROL)
     seen = system.motion(body, state, time)
     if run.objective == 0:
         return system.measured(body, state, seen, time).values["energy"]

@@ -6,6 +6,7 @@
 | lane pack                   | L bodies in compiled code                 | `Lane`    | 1      |
 | dual number                 | exact derivatives                         | `Dual`    | 3      |
 | number of a user's function | exact derivatives, all Python operators   | `UserNumber` | 4   |
+| place on a tape             | parts of dual numbers, for adjoints       | `Linear`  | 5      |
 | structural zero             | components that are zero for every body   | `Zero`    | 9      |
 
 A formula uses the operators of `Number` and the functions of `lierb.kernels.numbers.arithmetic`.
