@@ -116,7 +116,7 @@ def load(t, params):
 @pytest.mark.parametrize(
     ("kind", "cspace", "method"),
     [
-        pytest.param("mass", "reduced", "RK4", marks=pytest.mark.slow),
+        pytest.param("mass", "reduced", "RK4", marks=pytest.mark.long),
         pytest.param("fluid", "SE3", "RK4", marks=pytest.mark.long),
         pytest.param("mass", "reduced", "Rodas4", marks=pytest.mark.long),
         pytest.param("fluid", "reduced", "Rodas4", marks=pytest.mark.long),
@@ -174,7 +174,7 @@ def jet(t, R, r, omega, v, params):
 
 @pytest.mark.parametrize(
     "options",
-    [{"dt": 0.01}, pytest.param({"rtol": 1e-12, "method": "DOP853"}, marks=pytest.mark.slow)],
+    [{"dt": 0.01}, pytest.param({"rtol": 1e-12, "method": "DOP853"}, marks=pytest.mark.long)],
 )
 def test_c48_rocket_is_that_of_tsiolkovsky(options):
     """openrocket#309, RocketPy#363: Δv = u ln(m₀/m₁) − g t, of many rockets."""

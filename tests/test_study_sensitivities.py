@@ -412,7 +412,7 @@ def test_a_killed_run_has_the_same_bytes(tmp_path):
     assert hashes(out) == hashes(tmp_path / "whole")
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_workers_leave_the_same_bytes(dataset, tmp_path):
     pytest.importorskip("distributed")
     with cluster.local_client(2) as client:
@@ -420,6 +420,7 @@ def test_workers_leave_the_same_bytes(dataset, tmp_path):
     assert hashes(tmp_path / "out") == hashes(dataset.folder)
 
 
+@pytest.mark.slow
 def test_a_replay_has_the_bits_of_the_study(dataset):
     """It records more, and so has another kernel."""
     ends = dataset.replay(17).result.sensitivities.summary

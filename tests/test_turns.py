@@ -33,6 +33,7 @@ def wound(problem) -> np.ndarray:
 ADAPTIVE = {"rtol": 1e-10, "method": "DOP853"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "options",
     [

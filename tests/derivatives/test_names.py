@@ -247,6 +247,7 @@ def test_results_with_derivatives_are_pickled_and_described():
     assert "derivatives  by omega0, gravity" in repr(result)
 
 
+@pytest.mark.slow
 def test_progress_is_that_of_all_runs_together():
     seen = []
     spun(with_respect_to=["omega0", "gravity"], progress=lambda *of: seen.append(of))

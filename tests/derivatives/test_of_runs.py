@@ -135,7 +135,7 @@ FORMULATIONS = [
         ("spherical", {"method": "CF4"}, False),
         ("cylindrical", {"solver": "saddle"}, False),
         ("planar", {"update": "ambient"}, False),
-        ("spherical", {"method": "Rodas4"}, True),
+        ("spherical", {"method": "Rodas4"}, False),
         ("spherical", {"method": "Rodas5P", "solver": "saddle"}, False),
         ("spherical", {"method": "Verlet4"}, False),
         ("universal", {"method": "Rodas4", "cspace": "SO3xR3"}, False),

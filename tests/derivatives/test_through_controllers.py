@@ -53,7 +53,12 @@ NAMES = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("options", [{"rtol": 1e-12}, {"dt": 0.01}], ids=["adaptive", "fixed"])
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "options",
+    [{"rtol": 1e-12}, pytest.param({"dt": 0.01}, marks=pytest.mark.long)],
+    ids=["adaptive", "fixed"],
+)
 def test_derivatives_are_those_of_the_sampled_loop(options):
     result = lierb.integrate(wheel(), **START, **options, with_respect_to=[*NAMES.values()])
     values = VALUES | {"inertia": INERTIA, "speed": 1.0}
@@ -70,6 +75,7 @@ def test_derivatives_are_those_of_the_sampled_loop(options):
         assert plain.summary[name].equals(result.summary[name])
 
 
+@pytest.mark.slow
 def test_noise_depends_on_nothing():
     names = ["servo.gain", "servo.bias"]
     noisy = lierb.integrate(wheel(bias=1e-3), **START, dt=0.01, seed=3, with_respect_to=names)
@@ -91,6 +97,7 @@ def relay(omega, params):
     return {"torque": lierb.where(omega[2] > params.level, -1.0, 1.0)}
 
 
+@pytest.mark.slow
 def test_controllers_that_switch_are_named_and_periods_refused():
     body = lierb.Body(1.0, (INERTIA, INERTIA, INERTIA))
     problem = lierb.Problem(body, JOINT, forces=drive(), controllers=relay())

@@ -4,6 +4,7 @@ from contextlib import contextmanager
 
 import numpy as np
 import pytest
+from cases import long_but
 
 import lierb
 from lierb.model.mechanism import closing, holding
@@ -173,7 +174,8 @@ def test_whole_turns_count_beside_a_gear_and_on_a_screw(counted):
 # ---- all branches ------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("angle", [-2.5, 0.0, 0.8])
+@pytest.mark.slow
+@pytest.mark.parametrize("angle", long_but([-2.5, 0.0, 0.8], 0.8))
 def test_c45_a_four_bar_has_two_assemblies(angle):
     """Articraft#127: all branches on request. Right: both of the cosine law."""
     bars = four_bar()

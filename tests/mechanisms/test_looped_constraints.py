@@ -269,6 +269,7 @@ def test_a_run_goes_on_with_the_rank_of_its_start():
         np.testing.assert_array_equal(rest[name].position, whole[name].position)
 
 
+@pytest.mark.slow
 def test_a_trajectory_that_fails_leaves_the_others_alone():
     mechanism, start = shape("four_bar")
     expected = bits(looped(mechanism, start))

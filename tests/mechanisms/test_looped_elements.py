@@ -110,6 +110,7 @@ def test_events_are_found_at_the_times_of_unrolled_code():
             np.testing.assert_array_equal(first, second, err_msg=name)
 
 
+@pytest.mark.slow
 def test_steps_end_at_stops_as_in_unrolled_code():
     """Steps that passed over a stop would lose its energy; rejections would be many more."""
     ours, theirs = both()
