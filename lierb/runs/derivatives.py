@@ -31,8 +31,8 @@ class Derivatives(NamedTuple):
     """Derivatives of a run along all directions of its parameters.
 
     columns : differentiated quantities, `lierb.kernels.systems.derivatives.derivative_columns`.
-    parts : of the history, [column][direction][time][trajectory], of DIRECTIONS directions each;
-    the last one may have more than there are.
+    parts : of the history, [column][direction][time][trajectory], of a few directions each; the
+    last one may have more than there are.
     ends : at the end of each trajectory, [column][direction][trajectory].
     times : of the end times, s, [direction][trajectory]; zero but for ends by events.
     """
@@ -50,10 +50,11 @@ class Derivatives(NamedTuple):
 
     def rows_of(self, columns: slice, directions: slice) -> Array:
         """Return the derivatives of some columns along some directions, likewise."""
-        first, last = directions.start // DIRECTIONS, (directions.stop - 1) // DIRECTIONS
+        abreast = self.parts[0].shape[1]
+        first, last = directions.start // abreast, (directions.stop - 1) // abreast
         parts = [part[columns] for part in self.parts[first : last + 1]]
         joined = parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1)
-        before = first * DIRECTIONS
+        before = first * abreast
         return np.asarray(joined[:, directions.start - before : directions.stop - before])
 
 
@@ -123,9 +124,10 @@ def integrate_with_derivatives(
     progress: Progress,
     check: engine.StartCheck | None,
 ) -> tuple[Output, Derivatives]:
-    """Run all trajectories once for every DIRECTIONS directions; arguments of `engine.integrate`.
+    """Run all trajectories once for every few directions; arguments of `engine.integrate`.
 
-    The values of all these runs are the same, to the bit, as those of a run without derivatives.
+    One direction alone has a kernel of its own: a run with three takes twice as long. The values of
+    all these runs are the same, to the bit, as those of a run without derivatives.
     """
     plan = ready.plan
     start, inputs = start_and_inputs(ready)
@@ -133,14 +135,15 @@ def integrate_with_derivatives(
     moving = fields_of(parameters, names)
     if isinstance(plan, MechanismPlan) and plan.is_in_memory:  # its code looks them up by column
         moving = tuple(names[: names.index("state")])
-    differentiated = plan_with_derivatives(plan, moving)
     with np.errstate(all="ignore"):  # of starts that violate their joints, which are refused later
         directions = all_directions(parameters, start)
-    starts = range(0, len(directions), DIRECTIONS)
+    abreast = 1 if len(directions) == 1 else DIRECTIONS
+    differentiated = plan_with_derivatives(plan, moving, abreast)
+    starts = range(0, len(directions), abreast)
     whole: Output | None = None
     rows, ends = [], []
     for number, first in enumerate(starts):
-        seeds = _seeds(inputs.columns, moving, directions[first : first + DIRECTIONS])
+        seeds = _seeds(inputs.columns, moving, directions[first : first + abreast], abreast)
         output = engine.integrate(
             differentiated, replace(inputs, seeds=seeds), ready.times, with_state, threads,
             _part_of(progress, number, len(starts)), check,
@@ -186,7 +189,7 @@ def _start_of(ready: Ready, inputs: Inputs) -> Start:
 
 
 def _seeds(
-    columns: Columns, moving: Sequence[str], directions: list[dict[str, Array]]
+    columns: Columns, moving: Sequence[str], directions: list[dict[str, Array]], abreast: int
 ) -> dict[str, Array]:
     """Return the seeds of a run, [direction][trajectory or 1][number] by field."""
     seeds = {}
@@ -194,7 +197,7 @@ def _seeds(
         field = columns.field(name)
         given = [each.get(name) for each in directions]
         count = max((len(x) for x in given if x is not None), default=1)
-        seeds[name] = np.zeros((DIRECTIONS, count, field.width))
+        seeds[name] = np.zeros((abreast, count, field.width))
         for array, own in zip(seeds[name], given, strict=False):
             if own is not None:
                 array[:] = own
@@ -215,10 +218,12 @@ def _together(
     """Join the derivatives of all runs.   output : of the first of them."""
     columns, count = derivatives_of(plan), sum(p.size for p in parameters)
     n, rows = ready.inputs.count, ready.times.saved_rows
-    whole = columns.count * DIRECTIONS
+    whole = columns.count * plan.directions
 
     def shaped(arrays: list[Array], *shape: int) -> tuple[Array, ...]:
-        return tuple(each[:whole].reshape(columns.count, DIRECTIONS, *shape) for each in arrays)
+        return tuple(
+            each[:whole].reshape(columns.count, plan.directions, *shape) for each in arrays
+        )
 
     ends = np.concatenate(shaped(of_ends, n), axis=1)[:, :count]
     times = np.zeros((count, n))

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from lierb.kernels.loops.job import BODIES, POSES, TWISTS
 from lierb.kernels.loops.record import end_columns
-from lierb.kernels.systems.layout import DIRECTIONS, Columns, Field
+from lierb.kernels.systems.layout import Columns, Field
 from lierb.kernels.systems.plan import AnyPlan
 from lierb.model.base import Model
 from lierb.support.arrays import Array
@@ -140,8 +140,8 @@ class Inputs:
         for field, _ in self.columns if self.seeds else ():
             seeds = (self.seeds or {}).get(field.name)
             if seeds is not None:
-                addresses = np.zeros((field.width, DIRECTIONS, 2), dtype=np.int64)
-                numbers, directions = np.ogrid[: field.width, :DIRECTIONS]
+                addresses = np.zeros((field.width, len(seeds), 2), dtype=np.int64)
+                numbers, directions = np.ogrid[: field.width, : len(seeds)]
                 per_direction, per_trajectory, per_number = seeds.strides
                 addresses[..., 0] = seeds.ctypes.data + per_number * numbers
                 addresses[..., 0] += per_direction * directions

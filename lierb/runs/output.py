@@ -21,7 +21,7 @@ from lierb.kernels.loops.record import (
 )
 from lierb.kernels.stepping.clock import Clock, StepClock, time_of
 from lierb.kernels.systems.derivatives import derivative_columns
-from lierb.kernels.systems.layout import DIRECTIONS, LANE_SUMMARY, POSE_AND_TWIST, Columns
+from lierb.kernels.systems.layout import LANE_SUMMARY, POSE_AND_TWIST, Columns
 from lierb.kernels.systems.measures import KEPT, SUMMARY
 from lierb.kernels.systems.plan import AnyPlan
 from lierb.kernels.systems.signals import events_of
@@ -184,8 +184,8 @@ def _shapes(plan: AnyPlan, count: int, rows: int, with_state: bool) -> tuple[tup
         (rows * plan.multipliers, count, len(plan.rows)),
         (rows * plan.reaction * max(len(system.joints), 1), count, 6),
         (len(end_columns(plan)), count),
-        (derivatives * DIRECTIONS, rows, count),
-        (derivatives * (DIRECTIONS + bool(events_of(plan))), count),
+        (derivatives * plan.directions, rows, count),
+        (derivatives * (plan.directions + bool(events_of(plan))), count),
     )
 
 

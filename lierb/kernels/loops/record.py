@@ -250,7 +250,7 @@ def store_carried(
     for c, number in enumerate((*flatten(values(state)), *kept, *numbers, *flags)):
         store(carried, (c, first), number, plan.lanes)
     behind = carried_columns(plan)["observed"].start
-    parts = parts_side_by_side(state) if plan.moving else []
+    parts = parts_side_by_side(state, plan.directions) if plan.moving else []
     for c, number in enumerate((*flatten((observed, joints)), *parts), behind):
         store(carried, (c, first), number, plan.lanes)
     if plan.is_looped:

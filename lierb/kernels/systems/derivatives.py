@@ -1,7 +1,7 @@
 """Derivatives along directions of the inputs, carried by dual numbers through a run.
 
 A plan names the fields of the inputs that have derivatives (`AnyPlan.moving`). Their numbers become
-`Dual` with DIRECTIONS parts, which are further inputs, the seeds; everything computed from them is
+`Dual` with parts along some directions, which are further inputs, the seeds; everything computed from them is
 then differentiated. Formulas that only examine a state (measures, step-size control, events) get
 the values, whose bits are those of a run without derivatives. Without moving fields no formula here
 emits any code.
@@ -18,7 +18,7 @@ from lierb.kernels.numbers.arithmetic import alike, flatten
 from lierb.kernels.numbers.dual import Dual, parts_of, value_of, values
 from lierb.kernels.numbers.vec import Vec, mat_t_mat, mat_t_vec
 from lierb.kernels.numbers.zero import ZERO, is_zero
-from lierb.kernels.systems.layout import DIRECTIONS, Columns, Field
+from lierb.kernels.systems.layout import Columns, Field
 from lierb.kernels.systems.observables import observables_of
 from lierb.kernels.systems.plan import AnyPlan
 from lierb.kernels.systems.signals import events_of, signals_width
@@ -50,7 +50,7 @@ def seeded(plan: AnyPlan, columns: Columns, numbers: list[Any]) -> list[Any]:
     own, seeds = numbers[: columns["seeds"].start], iter(numbers[columns["seeds"]])
     for field, part in columns:
         for c in range(part.start, part.stop) if field.name in plan.moving else ():
-            own[c] = Dual(own[c], tuple(islice(seeds, DIRECTIONS)))
+            own[c] = Dual(own[c], tuple(islice(seeds, plan.directions)))
     return own
 
 
@@ -67,7 +67,7 @@ def completed(plan: AnyPlan, numbers: Any) -> Any:
     if is_zero(value) or isinstance(value, float):
         return value
     zero = 0.0 * value
-    parts = parts_of(numbers) or (ZERO,) * DIRECTIONS
+    parts = parts_of(numbers) or (ZERO,) * plan.directions
     return Dual(value, tuple(zero if is_zero(p) or isinstance(p, float) else p for p in parts))
 
 
@@ -76,10 +76,10 @@ def with_parts(plan: AnyPlan, numbers: Sequence[Any], parts: Sequence[Any]) -> S
     if not plan.moving:
         return numbers
     rest = iter(parts)
-    return tuple(Dual(x, tuple(islice(rest, DIRECTIONS))) for x in numbers)
+    return tuple(Dual(x, tuple(islice(rest, plan.directions))) for x in numbers)
 
 
-def parts_side_by_side(numbers: Any, directions: int = DIRECTIONS) -> list[Any]:
+def parts_side_by_side(numbers: Any, directions: int) -> list[Any]:
     """Return the derivatives of nested tuples of numbers, [number][direction]."""
     return [p for x in flatten(numbers) for p in parts_of(x) or (ZERO,) * directions]
 

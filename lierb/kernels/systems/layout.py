@@ -98,7 +98,7 @@ POSE_AND_TWIST = Columns(
 )
 
 
-# Directions of derivatives of one run. Measured on znver4, RK4 of a heavy top, as multiples of a
+# Directions of derivatives of one run, if there are several. Measured on znver4, RK4 of a heavy top, as multiples of a
 # run without: a run of 2, 3, 4 and 6 directions takes 3.6, 4.9, 6.3 and 9.0; 12 directions in such
 # runs take 22, 20, 19 and 18. The code grows likewise.
 DIRECTIONS = 3
@@ -117,11 +117,14 @@ LANE_END = Columns(
 
 @lru_cache(64)
 def inputs_of(
-    elements: tuple[Element, ...], numbers: int = STATE.count, moving: tuple[str, ...] = ()
+    elements: tuple[Element, ...],
+    numbers: int = STATE.count,
+    moving: tuple[str, ...] = (),
+    directions: int = 0,
 ) -> Columns:
     """Return INPUTS, the elements' parameters, seeds, then the numbers of a state to resume from.
 
-    moving : fields with derivatives.
+    moving : fields with derivatives along some directions.
     """
     parameters = (
         Field(f"{number}.{name}", shape)
@@ -129,10 +132,12 @@ def inputs_of(
         for name, shape in element.shapes.items()
     )
     own = (*INPUTS.fields, *parameters)
-    return Columns(*own, *seeds_of(own, moving), Field("state", (numbers,)))
+    return Columns(*own, *seeds_of(own, moving, directions), Field("state", (numbers,)))
 
 
-def seeds_of(fields: Sequence[Field], moving: tuple[str, ...]) -> tuple[Field, ...]:
+def seeds_of(
+    fields: Sequence[Field], moving: tuple[str, ...], directions: int
+) -> tuple[Field, ...]:
     """Return the field of the seeds, [number of a moving field][direction]; none if none moves."""
     count = sum(field.width for field in fields if field.name in moving)
-    return (Field("seeds", (DIRECTIONS * count,)),) if moving else ()
+    return (Field("seeds", (directions * count,)),) if moving else ()

@@ -89,10 +89,11 @@ class OneBody(StateArithmetic):
 
     @cached_property
     def inputs(self) -> Columns:
-        columns = inputs_of(self.plan.elements, self.state.count, self.plan.moving)
-        if not self.plan.has_lane_clocks:
+        plan = self.plan
+        columns = inputs_of(plan.elements, self.state.count, plan.moving, plan.directions)
+        if not plan.has_lane_clocks:
             return columns
-        return Columns(*columns.fields, Field("lane", (lane_end(self.plan).count,)))
+        return Columns(*columns.fields, Field("lane", (lane_end(plan).count,)))
 
     @cached_property
     def state(self) -> Columns:

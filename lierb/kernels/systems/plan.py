@@ -33,6 +33,7 @@ class AnyPlan(Tag):
     interpolates : whether states between steps are needed, for output and events.
     jumps : whether elements may jump at given times, at which steps then end.
     moving : fields of the inputs that have derivatives (`lierb.kernels.systems.derivatives`).
+    abreast : number of directions of these derivatives.
     """
 
     lanes: int
@@ -45,6 +46,7 @@ class AnyPlan(Tag):
     interpolates: bool = False
     jumps: bool = False
     moving: tuple[str, ...] = ()
+    abreast: int = DIRECTIONS
 
     if TYPE_CHECKING:
 
@@ -57,7 +59,7 @@ class AnyPlan(Tag):
     @property
     def directions(self) -> int:
         """Number of derivatives that a run carries."""
-        return DIRECTIONS if self.moving else 0
+        return self.abreast if self.moving else 0
 
     @property
     def code(self) -> AnyPlan:

@@ -9,6 +9,7 @@ from typing import Any, cast
 from lierb.kernels.mechanics.newton_euler import BodyConstants
 from lierb.kernels.mechanics.tree import TreeConstants, TreeMotion
 from lierb.kernels.systems.formulations import FORMULATIONS
+from lierb.kernels.systems.layout import DIRECTIONS
 from lierb.kernels.systems.one_body import BodyMotion
 from lierb.kernels.systems.plan import AnyPlan, LoopPlan, MechanismPlan, Plan
 from lierb.kernels.systems.system import AnySystem, System
@@ -69,8 +70,12 @@ def plan_of(width: int, **described: Any) -> Plan:
 
 
 @lru_cache(256)
-def plan_with_derivatives(plan: AnyPlan, moving: tuple[str, ...]) -> AnyPlan:
+def plan_with_derivatives(
+    plan: AnyPlan, moving: tuple[str, ...], abreast: int = DIRECTIONS
+) -> AnyPlan:
     """Return the plan of the same run, with derivatives of these fields of the inputs.
+
+    moving, abreast : see `AnyPlan`.
 
     It takes one pack: dual numbers fill the registers. Looped code has no kinds of joints beside
     those of the mechanism: each takes a second of compiling or more.
@@ -79,4 +84,4 @@ def plan_with_derivatives(plan: AnyPlan, moving: tuple[str, ...]) -> AnyPlan:
         own = {joint_kind_of(plan, i) for i in range(len(plan.tree))}
         kinds = tuple(kind for kind in plan.joint_kinds if kind in own)
         plan = replace(plan, joint_kinds=kinds, usual_constraints=())
-    return replace(plan, moving=moving, lanes=min(plan.lanes, DEFAULT_LANES))
+    return replace(plan, moving=moving, abreast=abreast, lanes=min(plan.lanes, DEFAULT_LANES))

@@ -57,7 +57,7 @@ class TreeFormulation(Projection, TreeMeasures):
         columns = inputs_of(plan.links, plan.loops, plan.elements)
         return Columns(
             *columns.fields,
-            *seeds_of(columns.fields, plan.moving),
+            *seeds_of(columns.fields, plan.moving, plan.directions),
             Field("state", (self.state.count,)),
             Field("lane", (lane_end(plan).count,)),
         )
