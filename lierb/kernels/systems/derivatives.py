@@ -1,10 +1,10 @@
 """Derivatives along directions of the inputs, carried by dual numbers through a run.
 
 A plan names the fields of the inputs that have derivatives (`AnyPlan.moving`). Their numbers become
-`Dual` with parts along some directions, which are further inputs, the seeds; everything computed from them is
-then differentiated. Formulas that only examine a state (measures, step-size control, events) get
-the values, whose bits are those of a run without derivatives. Without moving fields no formula here
-emits any code.
+`Dual` with parts along a few directions. These parts are further inputs, the seeds; everything
+computed from them is then differentiated. Formulas that only examine a state (measures, step-size
+control, events) get the values, whose bits are those of a run without derivatives. Without moving
+fields no formula here emits any code.
 """
 
 from __future__ import annotations
