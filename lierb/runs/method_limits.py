@@ -90,7 +90,7 @@ def _check_limits(method: Method, limits: Limits, model: Model, timing: Timing) 
             )
     if timing.is_of_lanes and not limits.cuts_steps:
         raise ArgumentError(
-            f"{name} carries accelerations from step to step, so that all its steps have one "
+            f"{name} carries numbers from step to step, so that all its steps have one "
             "length: it takes save_every=, but no events, controllers, save_at=, "
             "discontinuities= and max_steps="
         )

@@ -40,7 +40,7 @@ class Rattle(UnestimatedMethod):
         moves = absolute(h) > 0.0  # false for idle lanes
         first = form.applied(state.chart, state.v_or_mu, at.time)
         momentum = axpy(0.5 * h, first.wrench, form.momentum(state.v_or_mu))
-        x, unsolved = _displacement(form, state, momentum, h)
+        x, unsolved = displacement(form, state, momentum, h)
         chart, inverse = form.moved(state.chart, x), 1.0 / where(moves, h, 1.0)
         arrived = scale(inverse, form.pulled(neg(x), form.momentum(x)))
         consistent = form.consistent(form.constraints(chart))
@@ -63,7 +63,7 @@ class Rattle(UnestimatedMethod):
         return ended(moved, form.singular, unsolved)
 
 
-def _displacement(form: Descriptor, state: State, momentum: Vec, h: Any) -> tuple[Vec, Any]:
+def displacement(form: Descriptor, state: State, momentum: Vec, h: Any) -> tuple[Vec, Any]:
     """Return X of a step, and 1 where the iteration has not converged.
 
     momentum : M V₀ + h/2 W(C₀).

@@ -169,6 +169,38 @@ class RattleScheme(Scheme):
 
 
 @dataclass(frozen=True, kw_only=True)
+class ShakeScheme(Scheme):
+    """SHAKE on a Lie group has no coefficients."""
+
+    __hash__ = Scheme.__hash__
+
+    @property
+    def described(self) -> dict[str, Any]:
+        return {}
+
+    def carried(self, rows: int) -> int:
+        """Return the number of X (6) and of its failure (1)."""
+        return 7
+
+
+@dataclass(frozen=True, kw_only=True)
+class BLieDFScheme(Scheme):
+    """A backward differentiation formula on a Lie group has an order, its number of steps."""
+
+    order: int
+
+    __hash__ = Scheme.__hash__
+
+    @property
+    def described(self) -> dict[str, Any]:
+        return {"order": self.order}
+
+    def carried(self, rows: int) -> int:
+        """Return the number of V̇ (6), of V and Δ of earlier steps (12 each) and of λ."""
+        return 6 + 12 * (self.order - 1) + rows
+
+
+@dataclass(frozen=True, kw_only=True)
 class AlphaScheme(Scheme):
     """A generalised α method has two parameters.
 
