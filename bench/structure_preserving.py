@@ -1,4 +1,4 @@
-"""Measure variational and generalised α methods, for docs/howto/structure.md.
+"""Measure structure-preserving methods, for docs/howto/structure.md.
 
 python bench/structure_preserving.py       measure, store, print the tables
 
@@ -22,15 +22,16 @@ import lierb
 
 RESULTS = Path(__file__).parent / "results"
 REPEATS = 3
+CONSTRAINED = ("RATTLie", "SHAKELie", "alpha3", "alpha2", "BLieDF1", "BLieDF2")
 FORMS = [
-    *product(("RK4", "Verlet", "Verlet4", "RATTLie", "alpha3", "alpha2"), ("SE3",)),
-    *product(("RK4", "RATTLie", "alpha3", "alpha2"), ("SO3xR3",)),
+    *product(("RK4", "Verlet", "Verlet4", *CONSTRAINED), ("SE3",)),
+    *product(("RK4", *CONSTRAINED), ("SO3xR3",)),
 ]
 STEPS = (2e-3, 1e-3, 5e-4)
 LONG, COUNT = 5000.0, 32  # s; tops
 LONG_RUNS = {
     "RK4": (1e-2, 5e-3, 2.5e-3), "Verlet": (1e-2, 5e-3, 2.5e-3), "Verlet4": (2e-2, 1e-2, 5e-3),
-    "RATTLie": (1e-2, 5e-3), "DOP853": (4e-2, 2e-2, 1e-2),
+    "RATTLie": (1e-2, 5e-3), "SHAKELie": (1e-2, 5e-3), "DOP853": (4e-2, 2e-2, 1e-2),
 }  # fmt: skip
 
 
