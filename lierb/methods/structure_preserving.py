@@ -160,7 +160,7 @@ class Shake(Method):
         return 1.0
 
     def amplification(self, z: Any) -> Any:
-        """Return the growth of the oscillator with modes e^(λt) and e^(λ̄t).
+        """Return the growth of the oscillator with modes e^(λt) and e^(λ̄t) in a step.
 
         The damping acts at the velocity (3 uₙ₋₁ − uₙ₋₂)/2 of the increments u before.
         """
