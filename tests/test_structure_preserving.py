@@ -630,11 +630,12 @@ def test_models_that_a_method_cannot_take_are_refused():
     held = lierb.Problem(problem.body, problem.joint, constraints=[level()])
     with pytest.raises(ArgumentError, match="no constraints beside the joint's, but level is one"):
         lierb.integrate(held, method="Verlet", **run)
-    driven = lierb.Problem(
-        problem.body, lierb.joints.revolute(), forces=lierb.forces.motor(speed=1.0)
-    )
-    with pytest.raises(ArgumentError, match="constraints of the pose, but motor prescribes"):
-        lierb.integrate(driven, method="alpha2", **run)
+    for motion, kind in (({"speed": 1.0}, "speed"), ({"position": lambda t: 0.1 * t}, "motion")):
+        motor = lierb.forces.motor(**motion)
+        driven = lierb.Problem(problem.body, lierb.joints.revolute(), forces=motor)
+        message = f"constraints of the pose, but motor prescribes a {kind}"
+        with pytest.raises(ArgumentError, match=message):
+            lierb.integrate(driven, method="alpha2", **run)
 
 
 @pytest.mark.parametrize(

@@ -79,9 +79,10 @@ def _check_limits(method: Method, limits: Limits, model: Model, timing: Timing) 
                 "explicit method or a Rosenbrock method"
             )
     for row in model.rows:
-        if not row.is_holonomic:
+        if row.depends_on_time or not row.is_holonomic:
+            kind = "motion" if row.is_holonomic else "speed"
             raise ArgumentError(
-                f"{name} is for constraints of the pose, but {row} prescribes a speed; take an "
+                f"{name} is for constraints of the pose, but {row} prescribes a {kind}; take an "
                 "explicit method or a Rosenbrock method"
             )
         if not (row.is_of_joint or limits.takes_constraints):
