@@ -204,7 +204,8 @@ def predict(
     quaternions, not only under brackets, so that K is larger or equal.
 
     The prediction is for explicit and Rosenbrock methods, and for Verlet's. RATTLie, SHAKELie, the
-    generalised α methods and BLieDF solve for the rows, and satisfy all of them in each step.
+    generalised α methods and BLieDF solve for the rows, and satisfy all of them in each step, in
+    mechanisms too.
 
     Examples
     --------

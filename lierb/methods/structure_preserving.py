@@ -31,7 +31,7 @@ ON_SUBGROUPS = Limits(
 )
 
 WITH_CONSTRAINTS = Limits(
-    systems="one body on a joint",
+    systems="one body on a joint, and mechanisms on absolute c-spaces",
     solver="saddle",
     cspaces=("SE3", "SO3xR3"),
     takes_constraints=True,

@@ -38,20 +38,21 @@ class BLieDF(DescriptorMethod):
 
     def started(self, system: Any, body: Any, state: State, at: Interval) -> State:
         """Return the state with V̇ and λ at the start, and with two steps V₋₁ and Δ₋₁."""
-        now, later = look_ahead(system, body, state, at)
+        rate, multipliers, later = look_ahead(system, body, state, at)
         own: Vec = ()
         if self.scheme.order == 2:
-            velocity = axpy(-at.h, now.rate, state.v_or_mu)
-            velocity = axpy(0.5 * at.h, sub(later.rate, now.rate), velocity)
-            own = (*velocity, *axpy(-0.5 * at.h, now.rate, state.v_or_mu))
-        return state._replace(carried=(*now.rate, *own, *now.multipliers))
+            velocity = axpy(-at.h, rate, state.v_or_mu)
+            velocity = axpy(0.5 * at.h, sub(later, rate), velocity)
+            own = (*velocity, *axpy(-0.5 * at.h, rate, state.v_or_mu))
+        return state._replace(carried=(*rate, *own, *multipliers))
 
     def predicted(self, state: State, h: Any) -> Predicted:
         first, second, *third = ALPHA[self.scheme.order]
         share = h * (1.0 / first)
         velocity = increment = scale(-second / first, state.v_or_mu)
         if third:
-            earlier, before = state.carried[6:12], state.carried[12:18]
+            n = len(state.v_or_mu)
+            earlier, before = state.carried[n : 2 * n], state.carried[2 * n : 3 * n]
             velocity = axpy(-third[0] / first, earlier, velocity)
             increment = axpy(-(first + second), before, velocity)
         return Predicted(scale(share, increment), velocity, share * share, share)

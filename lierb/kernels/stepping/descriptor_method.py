@@ -20,9 +20,9 @@ from lierb.kernels.numbers.vec import Vec, add, axpy, scale, sub
 from lierb.kernels.numbers.zero import ZERO
 from lierb.kernels.stepping.method import Interval, Step
 from lierb.kernels.stepping.unestimated import UnestimatedMethod, ended
-from lierb.kernels.systems.acceleration import Acceleration, accelerate
 from lierb.kernels.systems.descriptor import Descriptor
 from lierb.kernels.systems.state import State
+from lierb.kernels.systems.tree_descriptor import descriptor_of
 
 
 class Predicted(NamedTuple):
@@ -35,7 +35,7 @@ class Predicted(NamedTuple):
 
 
 class DescriptorMethod(UnestimatedMethod):
-    """A step is for a body with the solver "saddle"; all steps have one length."""
+    """A step is for the descriptor form; all steps have one length."""
 
     is_stabilised = False  # True for the stabilised index 2
 
@@ -52,35 +52,36 @@ class DescriptorMethod(UnestimatedMethod):
     def step(
         self, system: Any, body: Any, state: State, at: Interval, all_stages: bool = False
     ) -> Step:
-        form, time, m = Descriptor(system, body), at.time + at.span, len(system.plan.rows)
+        form, time = descriptor_of(system, body), at.time + at.span
+        n, m = form.width, form.rows
         predicted = self.predicted(state, at.h)
         to_x, to_v = predicted.to_x, predicted.to_v
         before = form.constraints(state.chart) if self.is_stabilised else None
 
         def end(unknowns: Vec) -> tuple[Vec, Any, Vec]:
             """Return X, C₁ and V₁."""
-            x = axpy(to_x, unknowns[:6], predicted.x)
+            x = axpy(to_x, unknowns[:n], predicted.x)
             if before is not None:  # η in units in which its column is as large as that of λ
-                x = sub(x, scale(to_x, before.force(unknowns[6 + m :])))
-            return x, form.moved(state.chart, x), axpy(to_v, unknowns[:6], predicted.velocity)
+                x = sub(x, scale(to_x, before.force(unknowns[n + m :])))
+            return x, form.moved(state.chart, x), axpy(to_v, unknowns[:n], predicted.velocity)
 
         def residual(unknowns: Vec) -> Vec:
             _, chart, velocity = end(unknowns)
             constraints = form.constraints(chart)
             pushes = add(form.gyroscopic(velocity), form.applied(chart, velocity, time).wrench)
-            balance = sub(form.momentum(unknowns[:6]), pushes)
-            balance = add(balance, constraints.force(unknowns[6 : 6 + m]))
+            balance = sub(form.momentum(unknowns[:n]), pushes)
+            balance = add(balance, constraints.force(unknowns[n : n + m]))
             rates = constraints.rates(velocity) if self.is_stabilised else ()
             return (*balance, *scale(1.0 / to_x, constraints.values), *scale(1.0 / to_v, rates))
 
         def size(change: Vec) -> Any:
-            return form.size(state.chart, scale(to_x, change[:6]))
+            return form.size(state.chart, scale(to_x, change[:n]))
 
         known = state.carried
-        guess = (*known[:6], *known[len(known) - m :], *(ZERO,) * (m * self.is_stabilised))
+        guess = (*known[:n], *known[len(known) - m :], *(ZERO,) * (m * self.is_stabilised))
         solved = simplified_newton(residual, guess, size, state.v_or_mu[0] + 0.0 * at.h)
         x, chart, velocity = end(solved.unknowns)
-        rate, multipliers = solved.unknowns[:6], solved.unknowns[6 : 6 + m]
+        rate, multipliers = solved.unknowns[:n], solved.unknowns[n : n + m]
         carried = (*rate, *self.own(state, at.h, x, rate), *multipliers)
         moved = state._replace(chart=chart, v_or_mu=velocity, carried=carried)
         return ended(with_work(form, state, moved, at), form.singular, solved.unsolved)
@@ -95,12 +96,10 @@ def with_work(form: Descriptor, before: State, after: State, at: Interval) -> St
     return after._replace(work=fma(0.5 * at.h, first + last, before.work))
 
 
-def look_ahead(
-    system: Any, body: Any, state: State, at: Interval
-) -> tuple[Acceleration, Acceleration]:
-    """Return the solutions of the saddle points at the start and about one step later."""
-    plan, velocity, form = system.plan, state.v_or_mu, Descriptor(system, body)
-    now = accelerate(plan, body, state.chart, velocity, at.time)
+def look_ahead(system: Any, body: Any, state: State, at: Interval) -> tuple[Vec, Vec, Vec]:
+    """Return V̇ and λ at the start, and V̇ about one step later."""
+    velocity, form = state.v_or_mu, descriptor_of(system, body)
+    rate, multipliers = form.accelerations(state.chart, velocity, at.time)
     chart = form.moved(state.chart, scale(at.h, velocity))
-    later = axpy(at.h, now.rate, velocity)
-    return now, accelerate(plan, body, chart, later, at.time + at.span)
+    later, _ = form.accelerations(chart, axpy(at.h, rate, velocity), at.time + at.span)
+    return rate, multipliers, later

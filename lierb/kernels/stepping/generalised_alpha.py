@@ -60,12 +60,14 @@ class GeneralisedAlpha(DescriptorMethod):
 
     def started(self, system: Any, body: Any, state: State, at: Interval) -> State:
         """Return the state with V̇, a and λ at the start, a by a look ahead of one step."""
-        c, (now, later) = self.coefficients, look_ahead(system, body, state, at)
-        a = axpy(c.alpha_m - c.alpha_f, sub(later.rate, now.rate), now.rate)
-        return state._replace(carried=(*now.rate, *a, *now.multipliers))
+        c = self.coefficients
+        rate, multipliers, later = look_ahead(system, body, state, at)
+        a = axpy(c.alpha_m - c.alpha_f, sub(later, rate), rate)
+        return state._replace(carried=(*rate, *a, *multipliers))
 
     def predicted(self, state: State, h: Any) -> Predicted:
-        c, a, known = self.coefficients, state.carried[6:12], self._known(state)
+        c, known, n = self.coefficients, self._known(state), len(state.v_or_mu)
+        a = state.carried[n : 2 * n]
         of_x, of_v = c.beta * (h * h), c.gamma * h
         x = axpy((0.5 - c.beta) * (h * h), a, scale(h, state.v_or_mu))
         velocity = axpy((1.0 - c.gamma) * h, a, state.v_or_mu)
@@ -79,5 +81,6 @@ class GeneralisedAlpha(DescriptorMethod):
 
     def _known(self, state: State) -> Vec:
         """Return a₁ without its term with V̇₁."""
-        c, rate, a = self.coefficients, state.carried[:6], state.carried[6:12]
+        c, n = self.coefficients, len(state.v_or_mu)
+        rate, a = state.carried[:n], state.carried[n : 2 * n]
         return scale(1.0 / (1.0 - c.alpha_m), axpy(-c.alpha_m, a, scale(c.alpha_f, rate)))

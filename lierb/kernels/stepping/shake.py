@@ -28,20 +28,20 @@ from lierb.kernels.stepping.descriptor_method import with_work
 from lierb.kernels.stepping.method import Interval, Step
 from lierb.kernels.stepping.rattle import displacement
 from lierb.kernels.stepping.unestimated import UnestimatedMethod, ended
-from lierb.kernels.systems.descriptor import Descriptor
 from lierb.kernels.systems.scheme import ShakeScheme
 from lierb.kernels.systems.state import State
+from lierb.kernels.systems.tree_descriptor import descriptor_of
 
 
 @dataclass(frozen=True)
 class Shake(UnestimatedMethod):
-    """A step is for a body with the solver "saddle"; all steps have one length."""
+    """A step is for the descriptor form; all steps have one length."""
 
     scheme: ShakeScheme
 
     def started(self, system: Any, body: Any, state: State, at: Interval) -> State:
         """Return the state with X₀, which is that of RATTLE."""
-        form = Descriptor(system, body)
+        form = descriptor_of(system, body)
         wrench = form.applied(state.chart, state.v_or_mu, at.time).wrench
         momentum = axpy(0.5 * at.h, wrench, form.momentum(state.v_or_mu))
         x, unsolved = displacement(form, state, momentum, at.h)
@@ -50,8 +50,8 @@ class Shake(UnestimatedMethod):
     def step(
         self, system: Any, body: Any, state: State, at: Interval, all_stages: bool = False
     ) -> Step:
-        form, inverse = Descriptor(system, body), 1.0 / at.h
-        x, failed = state.carried[:6], state.carried[6]
+        form, inverse = descriptor_of(system, body), 1.0 / at.h
+        x, failed = state.carried[:-1], state.carried[-1]
         velocity = axpy(2.0 * inverse, x, neg(state.v_or_mu))
         there = state._replace(chart=form.moved(state.chart, x), v_or_mu=velocity)
         wrench = form.applied(there.chart, velocity, at.time + at.span).wrench
