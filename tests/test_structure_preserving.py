@@ -625,11 +625,10 @@ def test_models_that_a_method_cannot_take_are_refused():
     held = lierb.Problem(problem.body, problem.joint, constraints=[level()])
     with pytest.raises(ArgumentError, match="no constraints beside the joint's, but level is one"):
         lierb.integrate(held, method="Verlet", **run)
-    for motion, kind in (({"speed": 1.0}, "speed"), ({"position": lambda t: 0.1 * t}, "motion")):
+    for motion in ({"speed": 1.0}, {"position": lambda t: 0.1 * t}):
         motor = lierb.forces.motor(**motion)
         driven = lierb.Problem(problem.body, lierb.joints.revolute(), forces=motor)
-        message = f"constraints of the pose, but motor prescribes a {kind}"
-        with pytest.raises(ArgumentError, match=message):
+        with pytest.raises(ArgumentError, match="of the pose, but motor prescribes a motion"):
             lierb.integrate(driven, method="alpha2", **run)
 
 

@@ -105,10 +105,10 @@ def _check_limits(method: Method, limits: Limits, model: Model, timing: Timing) 
             )
     for row in rows:
         if row.depends_on_time or not row.is_holonomic:
-            kind = "motion" if row.is_holonomic else "speed"
+            what = "prescribes a motion" if row.depends_on_time else "is one of velocities"
             raise ArgumentError(
-                f"{name} is for constraints of the pose, but {row} prescribes a {kind}; take an "
-                "explicit method or a Rosenbrock method"
+                f"{name} is for constraints of the pose, but {row} {what}; take an explicit method "
+                "or a Rosenbrock method"
             )
         if not (row.is_of_joint or limits.takes_constraints):
             raise ArgumentError(

@@ -309,5 +309,8 @@ def test_models_that_a_method_cannot_take_are_refused():
     with pytest.raises(ArgumentError, match="constant mass matrix, to which added_mass would add"):
         lierb.integrate(lierb.Mechanism(made.links, forces=added), **run)
     motor = lierb.forces.motor(speed=1.0).on("link0")
-    with pytest.raises(ArgumentError, match="motor prescribes a speed"):
+    with pytest.raises(ArgumentError, match="motor prescribes a motion"):
         lierb.integrate(lierb.Mechanism(made.links, forces=motor), **run)
+    gear = lierb.forces.gear(ratio=2.0).on("link0", "link1")
+    with pytest.raises(ArgumentError, match="gear is one of velocities"):
+        lierb.integrate(lierb.Mechanism(made.links, forces=gear), **run)
