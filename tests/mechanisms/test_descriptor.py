@@ -255,6 +255,19 @@ def test_bits_depend_on_the_trajectory_alone(method, cspace):
     np.testing.assert_array_equal(bits(again), bits(whole))
 
 
+@pytest.mark.parametrize(("method", "cspace"), FORMS)
+def test_status_tells_that_an_iteration_has_not_converged(method, cspace):
+    made, start = pendulum()
+    twist0 = made.twist({"link0": np.array((1.0, 5e4, 2.0)), "link1": 1.0}, start["pose0"])
+    run = {"pose0": start["pose0"], "dt": 5e-3, "method": method, "cspace": cspace}
+    run |= {"t_end": 0.1, "save_every": 20, "record": ["state"]}
+    with pytest.warns(FailedTrajectoryWarning, match="a smaller dt helps"):
+        batch = lierb.integrate(made, twist0=twist0, **run)
+    assert batch.summary["status"].to_pylist() == ["ok", "no_convergence", "ok"]
+    alone = {name: np.broadcast_to(twist, (3, 6))[2] for name, twist in twist0.items()}
+    np.testing.assert_array_equal(bits(lierb.integrate(made, twist0=alone, **run)), bits(batch)[2:])
+
+
 @pytest.mark.slow
 def test_energy_does_not_drift():
     made, start = pendulum()
