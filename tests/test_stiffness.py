@@ -7,6 +7,7 @@ from math import cos, sqrt
 
 import numpy as np
 import pytest
+from cases import long_but
 from scipy.integrate import solve_ivp
 
 import lierb
@@ -92,7 +93,7 @@ def test_viscous_friction_warns_beyond_each_methods_bound(name):
     assert DT / (1.0 + NEAR) * 0.99 <= stable_dt(message) <= DT
 
 
-@pytest.mark.parametrize("name", ["Verlet", "RATTLie"])
+@pytest.mark.parametrize("name", ["Verlet", "RATTLie", "SHAKELie"])
 def test_variational_methods_are_stable_to_a_step_of_2_over_omega(name):
     growth = METHODS[name].amplification
     # below the bound both eigenvalues are on the unit circle; beyond, r² − (2 − x²) r + 1 = 0
@@ -104,14 +105,47 @@ def test_variational_methods_are_stable_to_a_step_of_2_over_omega(name):
     assert 6.0 < abs(errors[0] / errors[1]) < 10.0
 
 
+@pytest.mark.parametrize("name", ["BLieDF1", "BLieDF2"])
+def test_backward_differences_are_l_stable(name):
+    weights = {"BLieDF1": (1.0, -1.0), "BLieDF2": (1.5, -2.0, 0.5)}[name]
+    rng = np.random.default_rng(2)
+    z = rng.uniform(-5.0, 1.0, 20) + 1j * rng.uniform(-5.0, 5.0, 20)
+    growth = np.abs(METHODS[name].amplification(z))
+    expected = [np.abs(np.roots((weights[0] - each, *weights[1:]))).max() for each in z]
+    np.testing.assert_allclose(growth, expected, rtol=1e-12)
+    assert (growth[z.real <= 0.0] <= 1.0).all()
+    assert abs(METHODS[name].amplification(np.array(-1e12 + 0j))) < 1e-5  # 1/√|2z| with two steps
+
+
+GROWTH = ["Verlet", "RATTLie", "SHAKELie", "BLieDF1", "BLieDF2"]
+
+
+@pytest.mark.parametrize("name", long_but(GROWTH, "BLieDF2"))
+def test_amplification_is_the_growth_of_a_damped_oscillation_in_a_run(name):
+    """qₙ qₙ₊₂ − qₙ₊₁² of a pair of modes grows by |R|² in a step."""
+    stiffness, damping = 30.0 * 30.0 * ALONG, 6.0 * ALONG
+    spring = lierb.forces.slide_spring(stiffness=stiffness, damping=damping)
+    problem = lierb.Problem(BODY, SLIDE, forces=[spring])
+    run = lierb.integrate(
+        problem, twist0=ALONG_E3, dt=0.02, t_end=1.0, method=name, save_every=1, record=["state"]
+    )
+    q = run.position[:, 0, 2]
+    size = np.abs(q[20:-2] * q[22:] - q[21:-1] ** 2)
+    root = 0.02 * (-3.0 + 1j * np.sqrt(30.0**2 - 3.0**2))  # of λ² + 6λ + 30² = 0
+    expected = np.abs(METHODS[name].amplification(np.array(root)))
+    np.testing.assert_allclose(np.sqrt(size[1:] / size[:-1]), expected, rtol=1e-6)
+
+
 def test_verlet_warns_beyond_its_bound():
     spring = lierb.forces.torsional_spring(stiffness=1e4 * ABOUT)  # ω = 100 rad/s
     problem = lierb.Problem(BODY, HINGE, forces=[spring])
     twist0 = HINGE.twist(omega=(0.0, 0.0, 1.0))
-    message = warned(problem, twist0, dt=0.021, method="Verlet")
-    assert stable_dt(message) == pytest.approx(0.02, rel=0.01)
-    assert not warned(problem, twist0, dt=0.0199, method="Verlet")
-    assert not warned(problem, twist0, dt=0.1, method="alpha3")  # unconditionally stable
+    for method in ("Verlet", "SHAKELie"):
+        message = warned(problem, twist0, dt=0.021, method=method)
+        assert stable_dt(message) == pytest.approx(0.02, rel=0.01)
+        assert not warned(problem, twist0, dt=0.0199, method=method)
+    for method in ("alpha3", "BLieDF1", "BLieDF2"):  # unconditionally stable
+        assert not warned(problem, twist0, dt=0.1, method=method)
 
 
 # ---- every force -------------------------------------------------------------------------------

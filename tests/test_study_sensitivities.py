@@ -485,8 +485,6 @@ def test_warmup_compiles_the_kernels_of_derivatives(monkeypatch):
         ({"sensitivities": ["forces.wire.stiff"]}, "Did you mean 'forces.wire.stiffness'?"),
         ({"sensitivities": ["initial.velocities"]}, "'initial.velocities' is unknown"),
         ({"sensitivities": ["omega0", "omega0"]}, "sensitivities names omega0 twice"),
-        ({"method": "Rodas4"}, "sensitivities: Rodas4 has no derivatives; take an explicit method"),
-        ({"method": ["RK4", "Rodas4"]}, "Rodas4 has no derivatives"),
         (
             {"sensitivities": "body.com", "cspace": "SO3xR3"},
             'body.com cannot change on cspace="SO3xR3"',

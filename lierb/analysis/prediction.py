@@ -203,8 +203,9 @@ def predict(
     sampled until its dimension is stable. With update="ambient" it is closed under products of dual
     quaternions, not only under brackets, so that K is larger or equal.
 
-    The prediction is for explicit and Rosenbrock methods, and for Verlet's. RATTLie and the
-    generalised α methods solve for the rows, and satisfy all of them in each step.
+    The prediction is for explicit and Rosenbrock methods, and for Verlet's. RATTLie, SHAKELie, the
+    generalised α methods and BLieDF solve for the rows, and satisfy all of them in each step, in
+    mechanisms too.
 
     Examples
     --------

@@ -40,7 +40,7 @@ ELSEWHERE = {
     "DP8": "DOP853", "dopri5": "DP54", "dop853": "DOP853", "Vern6": "Verner65", "Vern8": "Verner87",
     "Vern9": "Verner98", "Radau": "Rodas4", "BDF": "Rodas4", "LSODA": "Rodas4", "ode15s": "Rodas4",
     "ode23s": "ROS34PW2", "Rosenbrock23": "ROS34PW2", "RKMK4": "RK4",
-    "leapfrog": "Verlet", "VelocityVerlet": "Verlet", "RATTLE": "RATTLie",
+    "leapfrog": "Verlet", "VelocityVerlet": "Verlet", "RATTLE": "RATTLie", "SHAKE": "SHAKELie",
 }  # fmt: skip
 
 

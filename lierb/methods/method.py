@@ -28,11 +28,12 @@ LARGEST = 200.0  # most decimal digits of |hλ|^stages, so that R does not overf
 
 
 class Limits(NamedTuple):
-    """Limits say to which systems and runs a method is confined: one body, without extra states.
+    """Limits say to which systems and runs a method is confined, without extra states.
 
-    systems : phrase for messages.   solver : solver of its system.
+    systems : phrase for messages.   solver : solver of a single body.
     cspaces : configuration spaces.   takes_constraints : True if it satisfies constraints beside
-    those of the joint.   cuts_steps : True if steps may differ in length.
+    those of the joint, and the joints of mechanisms.   cuts_steps : True if steps may differ in
+    length.
     """
 
     systems: str

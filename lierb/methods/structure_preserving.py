@@ -1,4 +1,4 @@
-"""The methods here keep structure: variational ones, and generalised α with constraints."""
+"""The methods here keep structure: variational ones, generalised α and BLieDF with constraints."""
 
 from __future__ import annotations
 
@@ -10,9 +10,11 @@ import numpy as np
 from lierb.errors import ArgumentError, brief
 from lierb.kernels.systems.scheme import (
     AlphaScheme,
+    BLieDFScheme,
     Embedded,
     Extension,
     RattleScheme,
+    ShakeScheme,
     VerletScheme,
 )
 from lierb.methods.method import Limits, Method
@@ -29,12 +31,13 @@ ON_SUBGROUPS = Limits(
 )
 
 WITH_CONSTRAINTS = Limits(
-    systems="one body on a joint",
+    systems="one body on a joint, and mechanisms on absolute c-spaces",
     solver="saddle",
     cspaces=("SE3", "SO3xR3"),
     takes_constraints=True,
     cuts_steps=True,
 )
+OF_ONE_LENGTH = WITH_CONSTRAINTS._replace(cuts_steps=False)
 
 
 @dataclass(frozen=True)
@@ -132,6 +135,81 @@ class Rattle(Method):
 
 
 @dataclass(frozen=True)
+class Shake(Method):
+    """SHAKE steps a body on its c-space, with the joint's rows as constraints of the position.
+
+    Attributes
+    ----------
+    name : str
+        Name of the method.
+    order : int
+        Order of the method.
+    source : str
+        Publication.
+    """
+
+    name: str
+    order: int
+    source: str
+
+    updates = ("local",)
+    limits = OF_ONE_LENGTH
+
+    @property
+    def evaluations(self) -> float:
+        return 1.0
+
+    def amplification(self, z: Any) -> Any:
+        """Return the growth of the oscillator with modes e^(λt) and e^(λ̄t) in a step.
+
+        The damping acts at the velocity (3 uₙ₋₁ − uₙ₋₂)/2 of the increments u before.
+        """
+        stiffness, damping = np.abs(z) ** 2, -2.0 * np.real(z)
+        none, one = 0.0 * stiffness, 1.0 + 0.0 * stiffness
+        # (q, u, u before) after a step; u adds to q
+        u = [-stiffness, 1.0 - 1.5 * damping, 0.5 * damping]
+        rows = [[one - stiffness, u[1], u[2]], u, [none, one, none]]
+        matrices = np.moveaxis(np.array(rows), (0, 1), (-2, -1))
+        return np.abs(np.linalg.eigvals(matrices)).max(axis=-1)
+
+    def scheme_of(self, embedded: Embedded | None, extension: Extension | None) -> ShakeScheme:
+        return ShakeScheme()
+
+
+@dataclass(frozen=True)
+class BLieDF(Method):
+    """A backward differentiation formula of index 3 steps a body on its c-space.
+
+    Attributes
+    ----------
+    name : str
+        Name of the method.
+    order : int
+        Order of the method, and number of its steps: 1 or 2.
+    source : str
+        Publication.
+    """
+
+    name: str
+    order: int
+    source: str
+
+    updates = ("local",)
+    needs_derivatives = True
+    limits = OF_ONE_LENGTH
+
+    def amplification(self, z: Any) -> Any:
+        """Return the largest root of the formula for ẏ = λy.   z : hλ, complex array."""
+        if self.order == 1:
+            return 1.0 / (1.0 - z)
+        root = np.sqrt(1.0 + 2.0 * np.asarray(z, complex))  # (3/2 − z) r² − 2 r + 1/2 = 0
+        return np.maximum(np.abs(2.0 + root), np.abs(2.0 - root)) / np.abs(3.0 - 2.0 * z)
+
+    def scheme_of(self, embedded: Embedded | None, extension: Extension | None) -> BLieDFScheme:
+        return BLieDFScheme(order=self.order)
+
+
+@dataclass(frozen=True)
 class GeneralisedAlpha(Method):
     """A generalised α method steps a body on its c-space; `generalised_alpha` makes one.
 
@@ -160,7 +238,7 @@ class GeneralisedAlpha(Method):
 
     updates = ("local",)
     needs_derivatives = True
-    limits = WITH_CONSTRAINTS._replace(cuts_steps=False)
+    limits = OF_ONE_LENGTH
 
     def amplification(self, z: Any) -> Any:
         """Return 1, a bound: the method is unconditionally stable."""
@@ -215,6 +293,8 @@ def generalised_alpha(*, rho: float = RHO, index: int = 3) -> GeneralisedAlpha:
 
 
 _P = 1.0 / (4.0 - 4.0 ** (1.0 / 3.0))
+_BLIEDF = "Wieloch and Arnold, J. Comput. Appl. Math. 387 (2021)"
+_RATTLIE = "Hante and Arnold, J. Comput. Appl. Math. 387 (2021)"
 _SOURCE = "Marsden, Pekarsky and Shkoller, Nonlinearity 12 (1999)"
 
 METHODS = (
@@ -225,7 +305,14 @@ METHODS = (
         (_P, _P, 1.0 - 4.0 * _P, _P, _P),
         f"{_SOURCE}; Suzuki, Phys. Lett. A 146 (1990)",
     ),
-    Rattle("RATTLie", 2, "Hante and Arnold, J. Comput. Appl. Math. 387 (2021)"),
+    Rattle("RATTLie", 2, _RATTLIE),
+    Shake(
+        "SHAKELie",
+        2,
+        f"Ryckaert, Ciccotti and Berendsen, J. Comput. Phys. 23 (1977); {_RATTLIE}",
+    ),
     generalised_alpha(index=3),
     generalised_alpha(index=2),
+    BLieDF("BLieDF1", 1, _BLIEDF),
+    BLieDF("BLieDF2", 2, _BLIEDF),
 )

@@ -77,7 +77,7 @@ class Continuation:
         before, after = lane_end(self.plan), lane_end(plan)
         has_its_rows = plan.rows == self.plan.rows
         known, own = len(state_columns(self.plan)), len(state_columns(plan))
-        carried = plan.method.carried(len(plan.rows))
+        carried = plan.carried
         goes_on = plan.method == self.plan.method and has_its_rows and dt == self._dt
         is_whole = known == own and (goes_on or not carried)
         if after.fields == before.fields and has_its_rows and is_whole:

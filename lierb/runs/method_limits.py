@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 from lierb.errors import ArgumentError, brief
 from lierb.kernels.mechanics.elements import AddedStates, UserStates
+from lierb.kernels.mechanics.rows import Rows
 from lierb.methods import Method
 from lierb.methods.method import Limits
 from lierb.model.base import Model
 from lierb.model.formulation import Formulation
+from lierb.model.mechanism.mechanism import Mechanism
 from lierb.model.problem import Problem
 from lierb.runs.timing import Timing
 
@@ -33,18 +36,23 @@ def formulation_for(
     limits = method.limits
     if limits is None:
         return model.formulation(cspace=cspace, solver=solver, **options)
-    if solver not in ("auto", limits.solver):
+    own = limits.solver if isinstance(model, Problem) else "unrolled"
+    if solver not in ("auto", own):
         raise ArgumentError(
-            f'method {method.name} needs solver="{limits.solver}", not solver="{solver}"; '
-            "leave solver out"
+            f'method {method.name} needs solver="{own}", not solver="{solver}"; leave solver out'
         )
-    if cspace not in limits.cspaces:
-        known = " or ".join(f'"{each}"' for each in limits.cspaces)
+    for name in cspace.values() if isinstance(cspace, Mapping) else (cspace,):
+        if name not in limits.cspaces:
+            known = " or ".join(f'"{each}"' for each in limits.cspaces)
+            raise ArgumentError(
+                f"method {method.name} needs cspace={known}, not cspace={brief(name)}"
+            )
+    if not isinstance(model, Problem) and options["stabilise"] is not None:
         raise ArgumentError(
-            f"method {method.name} needs cspace={known}, not cspace={brief(cspace)}"
+            f"method {method.name} solves for the rows, which need no stabilise=; leave it out"
         )
     try:
-        return model.formulation(cspace=cspace, solver=limits.solver, **options)
+        return model.formulation(cspace=cspace, solver=own, **options)
     except ArgumentError as error:
         raise ArgumentError(f"method {method.name} is for {limits.systems}: {error}") from None
 
@@ -60,14 +68,26 @@ def _require_derivatives(method: Method, model: Model) -> None:
                 )
 
 
+def _rows(model: Model) -> Rows:
+    if isinstance(model, Problem):
+        return model.rows
+    assert isinstance(model, Mechanism)
+    return tuple(row for each in model.connections for row in each.rows)
+
+
 def _check_limits(method: Method, limits: Limits, model: Model, timing: Timing) -> None:
     name = f"method {method.name}"
-    if not isinstance(model, Problem):
+    rows = _rows(model)
+    if not (isinstance(model, Problem) or limits.takes_constraints):
         raise ArgumentError(
-            f"{name} is for {limits.systems}, a lierb.Problem; for a mechanism take an explicit "
-            "method or a Rosenbrock method"
+            f"{name} is for {limits.systems}, a lierb.Problem; for a mechanism take RATTLie, an "
+            "explicit method or a Rosenbrock method"
         )
-    if limits.solver == "subgroup" and not (model.joint.subgroup and model.joint.rows):
+    if (
+        isinstance(model, Problem)
+        and limits.solver == "subgroup"
+        and not (model.joint.subgroup and model.joint.rows)
+    ):
         raise ArgumentError(
             f"{name} needs a joint whose motions are a proper subgroup of SE(3), not a "
             f"{model.joint.name} joint; RATTLie takes every joint"
@@ -78,11 +98,17 @@ def _check_limits(method: Method, limits: Limits, model: Model, timing: Timing) 
                 f"{name} integrates the motion alone, not the states of {element.name}; take an "
                 "explicit method or a Rosenbrock method"
             )
-    for row in model.rows:
-        if not row.is_holonomic:
+        if element.kind.adds_inertia:
             raise ArgumentError(
-                f"{name} is for constraints of the pose, but {row} prescribes a speed; take an "
+                f"{name} has a constant mass matrix, to which {element.name} would add; take an "
                 "explicit method or a Rosenbrock method"
+            )
+    for row in rows:
+        if row.depends_on_time or not row.is_holonomic:
+            what = "prescribes a motion" if row.depends_on_time else "is one of velocities"
+            raise ArgumentError(
+                f"{name} is for constraints of the pose, but {row} {what}; take an explicit method "
+                "or a Rosenbrock method"
             )
         if not (row.is_of_joint or limits.takes_constraints):
             raise ArgumentError(
@@ -90,7 +116,7 @@ def _check_limits(method: Method, limits: Limits, model: Model, timing: Timing) 
             )
     if timing.is_of_lanes and not limits.cuts_steps:
         raise ArgumentError(
-            f"{name} carries accelerations from step to step, so that all its steps have one "
+            f"{name} carries numbers from step to step, so that all its steps have one "
             "length: it takes save_every=, but no events, controllers, save_at=, "
             "discontinuities= and max_steps="
         )

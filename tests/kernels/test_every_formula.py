@@ -139,8 +139,11 @@ OF_CLOCKS = (
 # Methods that solve equations: test_rosenbrock and test_structure_preserving hold them against
 # their orders, other formulations and published runs.
 OF_SOLVERS = (
+    "stepping.bliedf.",
+    "stepping.descriptor_method.",
     "stepping.generalised_alpha.",
     "stepping.rattle.",
+    "stepping.shake.",
     "stepping.rosenbrock.",
     "stepping.unestimated.",
     "stepping.verlet.",

@@ -71,12 +71,16 @@ def four_bar() -> lierb.Mechanism:
 
 
 def in_python(
-    mechanism: lierb.Mechanism, cspace: str, pose0: dict[str, Any], twist0: dict[str, Any]
+    mechanism: lierb.Mechanism,
+    cspace: str,
+    pose0: dict[str, Any],
+    twist0: dict[str, Any],
+    method: Any = TABLEAUS["Euler"],
 ) -> tuple[TreeFormulation, TreeConstants, State]:
     """Formulas, constants and start of a mechanism, or of the first of a batch, on floats."""
     plan = mechanism_plan_of(
         mechanism, (cspace,) * len(mechanism.links), UNSTABILISED, elements=mechanism.kinds,
-        update="local", method=TABLEAUS["Euler"].scheme(False, False), multipliers=False,
+        update="local", method=method.scheme(False, False), multipliers=False,
     )  # fmt: skip
     given = dict(mechanism.quantities)
     for i, name in enumerate(mechanism.names):

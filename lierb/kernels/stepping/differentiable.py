@@ -21,13 +21,14 @@ class DifferentiableMethod:
     method: Method
 
     def started(self, system: AnySystem, body: Any, state: State, at: Interval) -> State:
-        return self.method.started(system, body, state, at)
+        begun: State = values(self.method.started(system, *lifted((body, state, at))))
+        return begun
 
     def step(
         self, system: AnySystem, body: Any, state: State, at: Interval, all_stages: bool = False
     ) -> Step:
-        made = self.method.step(system, lifted(body), lifted(state), lifted(at), all_stages)
-        step: Step = values(made)
+        numbers = lifted((body, state, at))
+        step: Step = values(self.method.step(system, *numbers, all_stages=all_stages))
         return step
 
     def defects(self, system: AnySystem, body: Any, slopes: Slopes, h: Any) -> tuple[Defect, ...]:

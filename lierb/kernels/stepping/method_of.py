@@ -6,20 +6,24 @@ from collections.abc import Callable
 from functools import lru_cache
 from typing import Any
 
+from lierb.kernels.stepping.bliedf import BLieDF
 from lierb.kernels.stepping.differentiable import DifferentiableMethod
 from lierb.kernels.stepping.generalised_alpha import GeneralisedAlpha
 from lierb.kernels.stepping.method import Method
 from lierb.kernels.stepping.rattle import Rattle
 from lierb.kernels.stepping.rosenbrock import Rosenbrock
 from lierb.kernels.stepping.runge_kutta import ExplicitRungeKutta
+from lierb.kernels.stepping.shake import Shake
 from lierb.kernels.stepping.verlet import Verlet
 from lierb.kernels.systems.plan import AnyPlan
 from lierb.kernels.systems.scheme import (
     AlphaScheme,
+    BLieDFScheme,
     ExplicitScheme,
     RattleScheme,
     RosenbrockScheme,
     Scheme,
+    ShakeScheme,
     VerletScheme,
 )
 
@@ -28,7 +32,9 @@ FAMILIES: dict[type[Scheme], Callable[[Any], Method]] = {
     RosenbrockScheme: Rosenbrock,
     VerletScheme: Verlet,
     RattleScheme: Rattle,
+    ShakeScheme: Shake,
     AlphaScheme: GeneralisedAlpha,
+    BLieDFScheme: BLieDF,
 }
 
 

@@ -25,22 +25,23 @@ from lierb.kernels.stepping.unestimated import UnestimatedMethod, ended
 from lierb.kernels.systems.descriptor import Descriptor
 from lierb.kernels.systems.scheme import RattleScheme
 from lierb.kernels.systems.state import State
+from lierb.kernels.systems.tree_descriptor import descriptor_of
 
 
 @dataclass(frozen=True)
 class Rattle(UnestimatedMethod):
-    """A step of RATTLE is for a body with the solver "saddle"."""
+    """A step of RATTLE is for the descriptor form."""
 
     scheme: RattleScheme
 
     def step(
         self, system: Any, body: Any, state: State, at: Interval, all_stages: bool = False
     ) -> Step:
-        form, h = Descriptor(system, body), at.h
+        form, h = descriptor_of(system, body), at.h
         moves = absolute(h) > 0.0  # false for idle lanes
         first = form.applied(state.chart, state.v_or_mu, at.time)
         momentum = axpy(0.5 * h, first.wrench, form.momentum(state.v_or_mu))
-        x, unsolved = _displacement(form, state, momentum, h)
+        x, unsolved = displacement(form, state, momentum, h)
         chart, inverse = form.moved(state.chart, x), 1.0 / where(moves, h, 1.0)
         arrived = scale(inverse, form.pulled(neg(x), form.momentum(x)))
         consistent = form.consistent(form.constraints(chart))
@@ -49,8 +50,8 @@ class Rattle(UnestimatedMethod):
             """Return V₁ with forces at a velocity near it, and their power."""
             last = form.applied(chart, velocity, at.time + at.span)
             pushed = axpy(0.5 * h, last.wrench, arrived)
-            solution = consistent.solve((*pushed, *(ZERO,) * len(system.plan.rows)))
-            return solution[:6], last.power
+            solution = consistent.solve((*pushed, *(ZERO,) * form.rows))
+            return solution[: form.width], last.power
 
         velocity, power = end(scale(inverse, x))
         if form.forces_depend_on_velocity:  # the mean velocity is of first order alone
@@ -63,22 +64,23 @@ class Rattle(UnestimatedMethod):
         return ended(moved, form.singular, unsolved)
 
 
-def _displacement(form: Descriptor, state: State, momentum: Vec, h: Any) -> tuple[Vec, Any]:
+def displacement(form: Descriptor, state: State, momentum: Vec, h: Any) -> tuple[Vec, Any]:
     """Return X of a step, and 1 where the iteration has not converged.
 
     momentum : M V₀ + h/2 W(C₀).
     """
-    chart, aim, before = state.chart, scale(h, momentum), form.constraints(state.chart)
+    chart, aim, n = state.chart, scale(h, momentum), form.width
+    before = form.constraints(chart)
 
     def residual(unknowns: Vec) -> Vec:
-        x, multipliers = unknowns[:6], unknowns[6:]
+        x, multipliers = unknowns[:n], unknowns[n:]
         balance = sub(form.pulled(x, form.momentum(x)), aim)
         held = form.constraints(form.moved(chart, x)).values
         return (*add(balance, before.force(multipliers)), *held)
 
     def size(change: Vec) -> Any:
-        return form.size(chart, change)
+        return form.size(chart, change[:n])
 
-    guess = (*scale(h, state.v_or_mu), *(ZERO,) * len(before.values))
+    guess = (*scale(h, state.v_or_mu), *(ZERO,) * form.rows)
     unknowns, unsolved = simplified_newton(residual, guess, size, state.v_or_mu[0] + 0.0 * h)
-    return unknowns[:6], unsolved
+    return unknowns[:n], unsolved

@@ -1,12 +1,14 @@
-"""The descriptor form of a body's equations of motion keeps constraints as equations.
+"""The descriptor form of the equations of motion keeps constraints as equations.
 
     M V̇ + Jᵀλ = ad_Vᵀ M V + W,   h(C) = 0,   J V = 0
 
-on SE(3) or SO(3)×R³, at the body frame's origin. Methods that keep h(C) = 0 step this form.
+on SE(3) or SO(3)×R³. Methods that keep h(C) = 0 step this form. That of a body is at its frame's
+origin; `lierb.kernels.systems.tree_descriptor` has that of a mechanism.
 """
 
 from __future__ import annotations
 
+from types import ModuleType
 from typing import Any, NamedTuple
 
 from lierb.kernels.groups import quaternion
@@ -30,20 +32,21 @@ from lierb.kernels.numbers.vec import (
     scale,
 )
 from lierb.kernels.numbers.zero import ZERO, is_zero
+from lierb.kernels.systems.acceleration import accelerate
 from lierb.kernels.systems.formulations import SaddlePoint
-
-UNITS = tuple(tuple(1.0 if i == j else ZERO for i in range(6)) for j in range(6))
+from lierb.kernels.systems.plan import Plan
 
 
 class Constraints(NamedTuple):
-    """Constraints have values h and a Jacobian J, row by row."""
+    """Constraints have values h and a Jacobian J, row by row.   width : number of columns of J."""
 
     values: Vec
     jacobian: tuple[Vec, ...]
+    width: int = 6
 
     def force(self, multipliers: Vec) -> Vec:
         """Return Jᵀλ."""
-        result: Vec = ZERO6
+        result: Vec = (ZERO,) * self.width
         for row, size in zip(self.jacobian, multipliers, strict=True):
             pairs = zip(row, result, strict=True)
             result = tuple(y if is_zero(x) else fma(size, x, y) for x, y in pairs)
@@ -55,32 +58,92 @@ class Constraints(NamedTuple):
 
 
 class Descriptor:
-    """The descriptor form of one body has these terms."""
+    """The descriptor form has these terms, of one body or of several.
 
-    def __init__(self, system: SaddlePoint, body: BodyConstants) -> None:
-        self.system, self.body, self.plan = system, body, system.plan
-        self.is_mixed = self.plan.cspace == "SO3xR3"
+    n = 6 for one body, and 6 times their number for several.
+    """
+
+    width: int  # n
+    rows: int  # number of constraint rows
+    plan: Any
+    system: Any
 
     @property
     def singular(self) -> Any:
         """Return 1 where rows depend on others, so that λ is not determined."""
-        if not has_others(self.plan.rows):
-            return ZERO
-        return where(self.body.dropped > 0.5, 1.0, 0.0 * self.body.mass)
+        raise NotImplementedError
+
+    def momentum(self, velocity: Vec) -> Vec:
+        """Return M V."""
+        raise NotImplementedError
+
+    def applied(self, chart: Any, velocity: Vec, time: Any) -> Applied:
+        """Return W of gravity and all other forces, and the power of those without potential."""
+        raise NotImplementedError
+
+    def gyroscopic(self, velocity: Vec) -> Vec:
+        """Return ad_Vᵀ M V."""
+        raise NotImplementedError
+
+    def constraints(self, chart: Any) -> Constraints:
+        raise NotImplementedError
+
+    def accelerations(self, chart: Any, velocity: Vec, time: Any) -> tuple[Vec, Vec]:
+        """Return V̇ and λ."""
+        raise NotImplementedError
+
+    def pulled(self, x: Vec, momentum: Vec) -> Vec:
+        """Return dexp⁻ᵀ_X p."""
+        raise NotImplementedError
+
+    def size(self, chart: Any, x: Vec) -> Any:
+        """Return the size of X, relative to 1 rad and to the bodies' size and position."""
+        raise NotImplementedError
 
     @property
     def forces_depend_on_velocity(self) -> bool:
         return any(element.depends_on_velocity for element in self.plan.acting)
 
+    def moved(self, chart: Any, x: Vec) -> Any:
+        """Return C exp X."""
+        return self.system.moved(chart, scale(0.5, x))
+
+    def mass_matrix(self) -> Mat:
+        """Return the columns of M, which is symmetric."""
+        return tuple(self.momentum(unit) for unit in units(self.width))
+
+    def consistent(self, constraints: Constraints) -> Factored:
+        """Factor [[M, Jᵀ], [J, 0]]."""
+        rows, m = constraints.jacobian, len(constraints.jacobian)
+        mass = self.mass_matrix()
+        upper = [[*mass[i], *(row[i] for row in rows)] for i in range(self.width)]
+        return Factored([*upper, *([*row, *(ZERO,) * m] for row in rows)])
+
+
+class BodyDescriptor(Descriptor):
+    """The descriptor form of one body."""
+
+    plan: Plan
+    width = 6
+
+    def __init__(self, system: SaddlePoint, body: BodyConstants) -> None:
+        self.system, self.body, self.plan = system, body, system.plan
+        self.rows = len(self.plan.rows)
+        self.is_mixed = self.plan.cspace == "SO3xR3"
+
+    @property
+    def singular(self) -> Any:
+        if not has_others(self.plan.rows):
+            return ZERO
+        return where(self.body.dropped > 0.5, 1.0, 0.0 * self.body.mass)
+
     def momentum(self, velocity: Vec) -> Vec:
-        """Return M V."""
         if self.is_mixed:
             turning = mat_vec(self.body.inertia, velocity[:3])
             return turning + scale(self.body.mass, velocity[3:])
         return self.body.momentum(velocity)
 
     def applied(self, chart: Chart, velocity: Vec, time: Any) -> Applied:
-        """Return W of gravity and all other forces, and the power of those without potential."""
         body, plan = self.body, self.plan
         applied = Applied(ZERO6, ZERO)
         if plan.acting:
@@ -97,13 +160,7 @@ class Descriptor:
         return Applied(torque + force, applied.power)
 
     def gyroscopic(self, velocity: Vec) -> Vec:
-        """Return ad_Vᵀ M V."""
-        omega, momentum = velocity[:3], self.momentum(velocity)
-        spin = cross_add(momentum[:3], omega, (ZERO,) * 3)
-        if self.is_mixed:
-            return spin + (ZERO,) * 3
-        torque = cross_add(momentum[3:], velocity[3:], spin)
-        return torque + cross_add(momentum[3:], omega, (ZERO,) * 3)
+        return spun(velocity, self.momentum(velocity), self.is_mixed)
 
     def constraints(self, chart: Chart) -> Constraints:
         x = self.plan.space.kinematics(self.body, quaternion.pose(chart), ZERO6)
@@ -111,29 +168,40 @@ class Descriptor:
         jacobian = tuple(row.jacobian(x, self.body) for row in self.plan.rows)
         return Constraints(tuple(values), jacobian)
 
-    def moved(self, chart: Chart, x: Vec) -> Chart:
-        """Return C exp X."""
-        return self.system.moved(chart, scale(0.5, x))
+    def accelerations(self, chart: Chart, velocity: Vec, time: Any) -> tuple[Vec, Vec]:
+        solution = accelerate(self.plan, self.body, chart, velocity, time)
+        return solution.rate, solution.multipliers
 
     def pulled(self, x: Vec, momentum: Vec) -> Vec:
-        """Return dexp⁻ᵀ_X p."""
-        half = scale(0.5, x)
-        k = quaternion.angle_coefficients(half)
-        charts = self.plan.space.charts
-        return tuple(dot(charts.dexpinv(half, unit, k), momentum) for unit in UNITS)
-
-    def mass_matrix(self) -> Mat:
-        """Return the columns of M, which is symmetric."""
-        return tuple(self.momentum(unit) for unit in UNITS)
-
-    def consistent(self, constraints: Constraints) -> Factored:
-        """Factor [[M, Jᵀ], [J, 0]]."""
-        rows, m = constraints.jacobian, len(constraints.jacobian)
-        mass = self.mass_matrix()
-        upper = [[*mass[i], *(row[i] for row in rows)] for i in range(6)]
-        return Factored([*upper, *([*row, *(ZERO,) * m] for row in rows)])
+        return pulled_by(self.plan.space.charts, x, momentum)
 
     def size(self, chart: Chart, x: Vec) -> Any:
-        """Return the size of X, relative to 1 rad and to the body's size and position."""
-        length = sqrt(self.body.girth) + norm(chart[1])
-        return total(x[:3]) + total(x[3:6]) * (1.0 / length)
+        return size_of(self.body.girth, chart, x)
+
+
+def units(n: int) -> Mat:
+    """Return the columns of the identity."""
+    return tuple(tuple(1.0 if i == j else ZERO for i in range(n)) for j in range(n))
+
+
+def spun(velocity: Vec, momentum: Vec, is_mixed: bool) -> Vec:
+    """Return ad_Vᵀ p of a body.   is_mixed : True on SO(3)×R³."""
+    omega = velocity[:3]
+    spin = cross_add(momentum[:3], omega, (ZERO,) * 3)
+    if is_mixed:
+        return spin + (ZERO,) * 3
+    torque = cross_add(momentum[3:], velocity[3:], spin)
+    return torque + cross_add(momentum[3:], omega, (ZERO,) * 3)
+
+
+def pulled_by(charts: ModuleType, x: Vec, momentum: Vec) -> Vec:
+    """Return dexp⁻ᵀ_X p of a body.   charts : formulas of its group."""
+    half = scale(0.5, x)
+    k = quaternion.angle_coefficients(half)
+    return tuple(dot(charts.dexpinv(half, unit, k), momentum) for unit in units(6))
+
+
+def size_of(girth: Any, chart: Chart, x: Vec) -> Any:
+    """Return the size of a body's X.   girth : square of the radius of gyration, m²."""
+    length = sqrt(girth) + norm(chart[1])
+    return total(x[:3]) + total(x[3:6]) * (1.0 / length)

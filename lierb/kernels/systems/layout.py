@@ -98,9 +98,9 @@ POSE_AND_TWIST = Columns(
 )
 
 
-# Directions of derivatives of one run, if there are several. Measured on znver4, RK4 of a heavy top,
-# as multiples of a run without: a run of 2, 3, 4 and 6 directions takes 3.6, 4.9, 6.3 and 9.0; 12
-# directions in such runs take 22, 20, 19 and 18. The code grows likewise.
+# Directions of derivatives of one run, if there are several. Measured on znver4, RK4 of a heavy
+# top, as multiples of a run without: a run of 2, 3, 4 and 6 directions takes 3.6, 4.9, 6.3 and 9.0;
+# 12 directions in such runs take 22, 20, 19 and 18. The code grows likewise.
 DIRECTIONS = 3
 
 LANE_SUMMARY = Columns(

@@ -97,11 +97,10 @@ class OneBody(StateArithmetic):
 
     @cached_property
     def state(self) -> Columns:
-        carried = self.plan.method.carried(len(self.plan.rows))
         return Columns(
             *STATE.fields,
             Field("states", (size_of(states_of(self.plan)),)),
-            Field("carried", (carried,)),
+            Field("carried", (self.plan.carried,)),
         )
 
     def body(self, numbers: list[Any]) -> BodyConstants:
@@ -138,7 +137,7 @@ class OneBody(StateArithmetic):
         _, v_or_mu = self.settled(body, frames, twist, chart, velocity)
         x = tuple(0.0 * v for v in velocity)
         nothing = 0.0 * body.mass
-        carried = (nothing + NAN,) * self.plan.method.carried(len(self.plan.rows))  # not yet known
+        carried = (nothing + NAN,) * self.plan.carried  # not yet known
         state = State(chart, x, v_or_mu, nothing, carried=carried)
         return self.structured(state, body.pitch)
 

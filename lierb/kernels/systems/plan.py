@@ -67,6 +67,11 @@ class AnyPlan(Tag):
         return self
 
     @property
+    def carried(self) -> int:
+        """Return how many numbers the method passes on from step to step."""
+        return self.method.carried(len(self.rows))
+
+    @property
     def keeps_rank(self) -> bool:
         """True if a run must end with the number of redundant rows that it starts with."""
         return False
@@ -245,6 +250,10 @@ class MechanismPlan(AnyPlan):
     usual_constraints: tuple[ConstraintKind, ...] = ()
 
     __hash__ = AnyPlan.__hash__
+
+    @property
+    def carried(self) -> int:
+        return self.method.carried(len(self.rows), 6 * len(self.tree))
 
     @cached_property
     def code(self) -> AnyPlan:

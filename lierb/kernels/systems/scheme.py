@@ -59,10 +59,10 @@ class Scheme:
         """Return the number of stages in the code of a step; infinite for a method without any."""
         return math.inf
 
-    def carried(self, rows: int) -> int:
+    def carried(self, rows: int, width: int = 6) -> int:
         """Return how many numbers a step passes on to the next one, beside the state.
 
-        rows : number of the system's constraint rows.
+        rows : number of the system's constraint rows.   width : number of components of V.
         """
         return 0
 
@@ -169,6 +169,38 @@ class RattleScheme(Scheme):
 
 
 @dataclass(frozen=True, kw_only=True)
+class ShakeScheme(Scheme):
+    """SHAKE on a Lie group has no coefficients."""
+
+    __hash__ = Scheme.__hash__
+
+    @property
+    def described(self) -> dict[str, Any]:
+        return {}
+
+    def carried(self, rows: int, width: int = 6) -> int:
+        """Return the number of X and of its failure (1)."""
+        return width + 1
+
+
+@dataclass(frozen=True, kw_only=True)
+class BLieDFScheme(Scheme):
+    """A backward differentiation formula on a Lie group has an order, its number of steps."""
+
+    order: int
+
+    __hash__ = Scheme.__hash__
+
+    @property
+    def described(self) -> dict[str, Any]:
+        return {"order": self.order}
+
+    def carried(self, rows: int, width: int = 6) -> int:
+        """Return the number of V̇, of V and Δ of an earlier step with two steps, and of λ."""
+        return (2 * self.order - 1) * width + rows
+
+
+@dataclass(frozen=True, kw_only=True)
 class AlphaScheme(Scheme):
     """A generalised α method has two parameters.
 
@@ -185,6 +217,6 @@ class AlphaScheme(Scheme):
     def described(self) -> dict[str, Any]:
         return {"rho": self.rho, "index": self.index}
 
-    def carried(self, rows: int) -> int:
-        """Return the number of V̇ (6), a (6) and λ."""
-        return 12 + rows
+    def carried(self, rows: int, width: int = 6) -> int:
+        """Return the number of V̇, a and λ."""
+        return 2 * width + rows

@@ -83,7 +83,7 @@ class TreeAccelerations(TreeCharts):
         """Solve the equations of motion.   forces : whether elements act."""
         plan = self.plan
         relatives = self.relatives(body, motion)
-        loads, power = self._applied(body, relatives) if forces else ({}, ZERO)
+        loads, power = self.applied(body, relatives) if forces else ({}, ZERO)
         added = self._added(body, relatives) if forces else {}
         add_loads(loads, {i: each.load for i, each in added.items()})
         motion = motion.with_added({i: each.inertia for i, each in added.items()})
@@ -134,7 +134,7 @@ class TreeAccelerations(TreeCharts):
             equations.append(each)
         return equations
 
-    def _applied(self, body: TreeConstants, relatives: Relatives) -> tuple[dict[int, Vec], Any]:
+    def applied(self, body: TreeConstants, relatives: Relatives) -> tuple[dict[int, Vec], Any]:
         """Wrenches of all elements on the nodes, and their power."""
         loads: dict[int, Vec] = {}
         power: Any = ZERO

@@ -47,13 +47,15 @@ class TreeCharts(StateArithmetic):
 
     @cached_property
     def state(self) -> Columns:
-        return state_columns(len(self.plan.tree), size_of(states_of(self.plan)))
+        count = size_of(states_of(self.plan))
+        return state_columns(len(self.plan.tree), count, self.plan.carried)
 
     def state_of(self, numbers: Sequence[Any], body: TreeConstants | None = None) -> State:
         parts = self.state.parts(numbers)
         charts = charts_side_by_side(parts["charts"])
         (work,) = parts["work"]
-        state = State(charts, parts["x"], parts["v"], work, parts["states"])
+        own = parts["states"], parts["carried"]
+        state = State(charts, parts["x"], parts["v"], work, *own)
         return self.structured(state, body)
 
     def structured(self, state: State, body: TreeConstants | None = None) -> State:
@@ -74,7 +76,8 @@ class TreeCharts(StateArithmetic):
             xs += ZERO6 if plan.is_local else x
             velocities += v
         work = state.work if plan.does_work else ZERO
-        return State(tuple(charts), tuple(xs), tuple(velocities), work, state.states)
+        moving = tuple(charts), tuple(xs), tuple(velocities)
+        return State(*moving, work, state.states, state.carried)
 
     def chart_gravity(self, body: TreeConstants, chart: Charts) -> None:
         """Return None: gravity enters at the nodes on the ground."""

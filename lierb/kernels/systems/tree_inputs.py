@@ -78,11 +78,14 @@ def inputs_of(links: int, loops: int, elements: tuple[Element, ...]) -> Columns:
     return Columns(*own, *held, GRAVITY, *parameters, *starts)
 
 
-def state_columns(nodes: int, states: int) -> Columns:
-    """Columns of a mechanism's state.   states : number of the extra states' numbers."""
+def state_columns(nodes: int, states: int, carried: int = 0) -> Columns:
+    """Columns of a mechanism's state.
+
+    states : number of the extra states' numbers.   carried : of those that the method passes on.
+    """
     return Columns(
         Field("charts", (7 * nodes,)), Field("x", (6 * nodes,)), Field("v", (6 * nodes,)),
-        Field("work"), Field("states", (states,)),
+        Field("work"), Field("states", (states,)), Field("carried", (carried,)),
     )  # fmt: skip
 
 

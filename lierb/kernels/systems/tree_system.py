@@ -11,6 +11,7 @@ from lierb.kernels.mechanics.newton_euler import girth_of
 from lierb.kernels.mechanics.spatial import twist_at
 from lierb.kernels.mechanics.tree import GROUND, HERE, MASSLESS, Ends, TreeConstants, root_of
 from lierb.kernels.numbers.vec import ZERO6, Vec, sub
+from lierb.kernels.systems.combine import NAN
 from lierb.kernels.systems.layout import Columns, Field, seeds_of
 from lierb.kernels.systems.signals import lane_end
 from lierb.kernels.systems.stabilisation import Projection
@@ -115,7 +116,9 @@ class TreeFormulation(Projection, TreeMeasures):
                 velocities.append(velocity)
         velocity = tuple(x for v in velocities for x in v)
         x = tuple(0.0 * v for v in velocity)
-        state = State(tuple(charts), x, velocity, 0.0 * body.mass)
+        nothing = 0.0 * body.mass
+        carried = (nothing + NAN,) * plan.carried  # not yet known
+        state = State(tuple(charts), x, velocity, nothing, carried=carried)
         tidied = self.tidied(body, self.structured(state, body).chart)
         return self.structured(state._replace(chart=tidied), body)
 
