@@ -27,8 +27,8 @@ class DifferentiableMethod:
     def step(
         self, system: AnySystem, body: Any, state: State, at: Interval, all_stages: bool = False
     ) -> Step:
-        numbers = lifted((body, state, at))
-        step: Step = values(self.method.step(system, *numbers, all_stages=all_stages))
+        body, state, at = lifted((body, state, at))
+        step: Step = values(self.method.step(system, body, state, at, all_stages))
         return step
 
     def defects(self, system: AnySystem, body: Any, slopes: Slopes, h: Any) -> tuple[Defect, ...]:
