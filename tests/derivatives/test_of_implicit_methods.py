@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from cases import long_but
+from mechanisms.shared import double_pendulum
 
 import lierb
 
@@ -61,4 +62,22 @@ def test_derivatives_of_implicit_steps_are_those_of_differences(method):
     for i, (name, value) in enumerate(NUMBERS.items()):
         difference = np.einsum("k,kj->j", WEIGHTS, ends[i]) / (WIDTH * value)
         exact = result.sensitivity("twist", name)[0, :3, 0]
+        assert np.abs(exact - difference).max() < TOLERANCE * np.abs(exact).max(), name
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("method", ["RATTLie", "SHAKELie", "alpha3", "alpha2", "BLieDF2"])
+def test_derivatives_of_mechanisms_with_constraints_are_those_of_differences(method):
+    pendulum = double_pendulum()
+    pose0 = pendulum.pose({"upper": 0.9, "lower": 0.6})
+    start = {"pose0": pose0, "twist0": pendulum.twist({"upper": 2.0, "lower": -5.0}, pose0)}
+    options = {"dt": 2e-3, "t_end": 0.1, "method": method, "cspace": "SE3"}
+    names = ["upper.body.mass", "lower.body.mass"]
+    result = lierb.integrate(pendulum, **start, **options, with_respect_to=names)
+    for name in names:
+        link = next(each for each in pendulum.links if name.startswith(each.name))
+        masses = float(link.body.mass) + WIDTH * OFFSETS
+        ends = lierb.integrate(pendulum.with_({name: masses}), **start, **options)
+        difference = WEIGHTS @ ends["lower"].omega / WIDTH
+        exact = result.sensitivity("lower.twist", name)[0, :3, 0]
         assert np.abs(exact - difference).max() < TOLERANCE * np.abs(exact).max(), name

@@ -13,7 +13,7 @@ from lierb.kernels.mechanics.elements import Applied
 from lierb.kernels.mechanics.tree import GROUND, TreeConstants, TreeMotion, root_of
 from lierb.kernels.mechanics.tree_rows import NodeRow
 from lierb.kernels.numbers.arithmetic import where
-from lierb.kernels.numbers.dual import Dual, parts_of
+from lierb.kernels.numbers.dual import Dual, lifted, parts_of, value_of
 from lierb.kernels.numbers.vec import (
     ZERO6,
     Vec,
@@ -120,9 +120,10 @@ class TreeDescriptor(Descriptor):
 
     def accelerations(self, chart: Charts, velocity: Vec, time: Any) -> tuple[Vec, Vec]:
         constraints = self.constraints(chart)
-        turning = self.moved(chart, tuple(Dual(0.0 * v, (v,)) for v in velocity))
+        along = (value_of(v) for v in velocity)  # without parts if it is `lifted`
+        turning = self.moved(chart, tuple(Dual(0.0 * v, (v,)) for v in along))
         rates = self.constraints(turning).rates(velocity)
-        bends = tuple(-sum(parts_of(rate), start=ZERO) for rate in rates)
+        bends = tuple(-sum(lifted(parts_of(rate)), start=ZERO) for rate in rates)
         wrench = add(self.gyroscopic(velocity), self.applied(chart, velocity, time).wrench)
         solution = self.consistent(constraints).solve((*wrench, *bends))
         return solution[: self.width], solution[self.width :]
