@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +15,11 @@ from lierb.model.mechanism.mechanism import Mechanism
 from lierb.model.problem import Problem
 from lierb.results.result import Result
 from lierb.support.arrays import Array
+from lierb.support.extras import require
 from lierb.support.representations import FAILED, Lines, Represented, counted
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 MOST_LISTED = 40  # numbers in the table of a description
 # Least chi2 per freedom f that counts as a misfit, and its least excess over 1, in standard
@@ -54,6 +58,8 @@ class Fit(Represented):
         Times of the data, s.
     residuals : dict of ndarray, shape (times, n, width)
         Run minus data, by column, SI units; NaN for a missing sample.
+    units : dict of str
+        Unit of the residuals, by column.
     has_sigma : bool
         True if the fit was given `sigma`.
     chi2 : float
@@ -78,6 +84,7 @@ class Fit(Represented):
     result: Result
     t: Array
     residuals: dict[str, Array]
+    units: dict[str, str]
     has_sigma: bool
     chi2: float
     freedoms: int
@@ -155,6 +162,36 @@ class Fit(Represented):
         deviations = np.sqrt(np.diag(self.covariance))
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.asarray(self.covariance / np.outer(deviations, deviations))
+
+    def plot(self) -> Figure:
+        """Draw the residuals over time and the correlations; needs `lierb[plot]`.
+
+        Correlations are drawn for 2 to 30 numbers.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+            The figure.
+
+        Raises
+        ------
+        MissingExtraError
+            Matplotlib is not installed.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> import lierb
+        >>> flight = lierb.Problem(lierb.bodies.sphere(0.1, mass=1.0), lierb.joints.free())
+        >>> data = {"t": [0.0, 1.0], "omega": [[0.0, 0.0, 1.0], [0.0, 0.0, 1.1]]}
+        >>> fit = lierb.fit(flight, data, "omega0", twist0=np.eye(6)[2], dt=0.1)
+        >>> [panel.get_title(loc="left") for panel in fit.plot().axes[:2]]
+        ['omega, run minus data [rad/s]', 'correlations of the estimate']
+        """
+        require("plot")
+        from lierb.analysis.estimate_figures import fit_figure
+
+        return fit_figure(self.t, self.residuals, self.units, self.labels, self.correlation)
 
     def _representation(self) -> tuple[str, Lines]:
         count = sum(int(np.isfinite(each).sum()) for each in self.residuals.values())

@@ -256,7 +256,9 @@ def _report(task: Task, solution: Any, evaluations: int) -> Fit:
             unknowns, told, unknowns.spread, unknowns.all_values
         ),
         problem=model, start={**varied.start, "t0": task.variation.t0}, result=result,
-        t=task.data.t, residuals=residuals, has_sigma=task.data.has_sigma,
+        t=task.data.t, residuals=residuals,
+        units={column.quantity.name: column.quantity.unit for column in task.data.columns},
+        has_sigma=task.data.has_sigma,
         chi2=chi2, freedoms=freedoms,
         converged=bool(solution.status > 0), status=_status(solution), evaluations=evaluations,
     )  # fmt: skip

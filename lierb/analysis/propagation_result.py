@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lierb.errors import require_name
 from lierb.support.arrays import Array
+from lierb.support.extras import require
 from lierb.support.representations import Lines, Represented, counted
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 MOST_LISTED = 12  # times in the table of a description
 
@@ -90,6 +95,53 @@ class Propagation(Represented):
         fails = np.flatnonzero(~self.holds[of])
         last = len(self.t) - 1 if not len(fails) else int(fails[0]) - 1
         return float(self.t[last]) if last >= 0 else np.nan
+
+    def plot(self, quantities: str | Iterable[str] = ()) -> Figure:
+        """Draw standard deviations over time, linear and of the sample; needs `lierb[plot]`.
+
+        Parameters
+        ----------
+        quantities : str or iterable of str, optional
+            Names of quantities, one for each panel. Default: all.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+            The figure.
+
+        Raises
+        ------
+        UnknownNameError
+            A quantity was not propagated.
+        MissingExtraError
+            Matplotlib is not installed.
+
+        Examples
+        --------
+        >>> import lierb
+        >>> flight = lierb.Problem(lierb.bodies.sphere(0.1, mass=1.0), lierb.joints.free())
+        >>> run = {"twist0": (0.0, 0.0, 0.0, 2.0, 0.0, 0.0), "dt": 0.1, "monte_carlo": 20}
+        >>> deviations = {"twist0": (0.0, 0.0, 0.0, 0.1, 0.1, 0.1)}
+        >>> spread = lierb.propagate(flight, deviations, "twist0", [0.5, 1.0], "position", **run)
+        >>> [panel.get_title(loc="left") for panel in spread.plot().axes]
+        ['position, standard deviation [m]']
+        """
+        names = [quantities] if isinstance(quantities, str) else [*quantities]
+        for name in names:
+            require_name("quantities", name, self.linear)
+        require("plot")
+        from lierb.analysis.estimate_figures import Spread, propagation_figure
+
+        spreads = {
+            name: Spread(
+                self.units[name],
+                self.standard_deviations(name),
+                self.standard_deviations(name, "sample"),
+                self.holds[name],
+            )
+            for name in names or self.linear
+        }
+        return propagation_figure(self.t, spreads, self.size)
 
     def _representation(self) -> tuple[str, Lines]:
         title = f"lierb.Propagation: {counted(len(self.t), 'time')}, {counted(self.size, 'run')}"

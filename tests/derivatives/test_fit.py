@@ -312,6 +312,10 @@ def test_covariance_of_names_is_a_block():
     np.testing.assert_array_equal(deviation, fit.standard_errors[DAMPING])
     with pytest.raises(LierbError, match=r"name='dampign' is unknown.*torsional_spring.damping"):
         fit.covariance_of("dampign")
+    residuals, matrix, _ = fit.plot().axes  # the last one is the scale of the colours
+    drawn = np.array([line.get_ydata() for line in residuals.lines[:3]])
+    np.testing.assert_array_equal(drawn, fit.residuals["omega"][:, 0].T)
+    np.testing.assert_array_equal(matrix.images[0].get_array(), fit.correlation)
 
 
 @pytest.mark.long

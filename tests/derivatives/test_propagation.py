@@ -74,6 +74,14 @@ def test_linear_theory_ends_where_a_pendulum_loses_its_phase():
     # the sample's rotations are within half a turn of their mean, linear theory knows no bound
     assert spread.standard_deviations("rotation", "sample").max() < np.pi
     assert "linear theory holds until" in repr(spread)
+    (panel,) = spread.plot("rotation").axes
+    first, dots = panel.lines[:2]
+    np.testing.assert_array_equal(first.get_ydata(), spread.standard_deviations("rotation")[:, 0])
+    sample = spread.standard_deviations("rotation", "sample")
+    np.testing.assert_array_equal(dots.get_ydata(), sample[:, 0])
+    assert len(panel.lines) == 2 * 3 + (~spread.holds["rotation"]).sum()
+    with pytest.raises(LierbError, match="quantities='omega' is unknown"):
+        spread.plot("omega")
     narrow = lierb.propagate(
         problem, {"omega0": (0.0, 1e-6, 0.0)}, "omega0", times, "rotation",
         pose0=problem.joint.pose([3.0]), dt=5e-3,
