@@ -117,8 +117,8 @@ def gradient(
     Raises
     ------
     LierbError
-        An argument is wrong, or the run has no adjoint: it has controllers or terminal events, its
-        code is looped, or a function runs body by body.
+        An argument is wrong, or the run has no adjoint: it has controllers, its code is looped, or
+        a function runs body by body.
     MemoryLimitError
         Gradients are larger than the free memory.
 
@@ -132,8 +132,9 @@ def gradient(
     Notes
     -----
     The run is made once, with its steps; then all steps are differentiated backwards, each by the
-    transposed Jacobian. Adaptive steps keep their lengths, which have no derivatives. Directions of
-    a start are projected onto the motions that the joints admit, as in `integrate`.
+    transposed Jacobian. Adaptive steps keep their lengths, which have no derivatives; the time of a
+    terminal event has. Directions of a start are projected onto the motions that the joints admit,
+    as in `integrate`.
 
     References
     ----------
@@ -210,12 +211,6 @@ def _obstacles(prepared: Ready) -> Iterator[str]:
         yield (
             f"{model.controllers[0].name} is a controller, which an adjoint does not go through; "
             "take integrate(with_respect_to=…)"
-        )
-    terminal = [event.name for event in model.events if event.terminal]
-    if terminal:
-        yield (
-            f"{terminal[0]} ends trajectories at times of their own; leave it out, or take "
-            "integrate(with_respect_to=…)"
         )
 
 

@@ -16,8 +16,10 @@ from lierb.kernels.loops.job import BODIES, job_of, jobs_of
 from lierb.kernels.numbers.tape import Tape
 from lierb.kernels.stepping.clock import StepClock, time_of
 from lierb.kernels.stepping.method import Interval
+from lierb.kernels.systems.state import EVENT, OK
 from lierb.kernels.systems.system_of import system_of
 from lierb.runs import engine
+from lierb.runs.derivatives import ending_events
 from lierb.runs.driver import Run, aligned
 from lierb.runs.lane_engine import LaneTime
 from lierb.runs.output import Output
@@ -38,11 +40,13 @@ class AdjointRun(Run[Any]):
     """A run whose steps are known, differentiated backwards.
 
     number : of the objective, see `Adjoint`.   step_times : ends of the steps, [step][trajectory or
-    1], s; row 0 has the start.
+    1], s; row 0 has the start.   ended_by : indices of terminal events, −1 for
+    none, [1][trajectory].
     """
 
     number: int
     step_times: Array
+    ended_by: Array
 
     @cached_property
     def tag(self) -> Adjoint:
@@ -113,7 +117,9 @@ class AdjointRun(Run[Any]):
 
     @cached_property
     def arrays(self) -> dict[str, NDArray[Any]]:
-        return super().arrays | {"step_times": self.step_times, "gains": self.gains}
+        return super().arrays | {
+            "step_times": self.step_times, "ended_by": self.ended_by, "gains": self.gains,
+        }  # fmt: skip
 
 
 def gains_of(
@@ -132,21 +138,25 @@ def gains_of(
     if isinstance(times, StepClock):
         engine.check_starts(ready.plan, inputs, times, threads, check)
         ends = np.array([[time_of(times, k)] for k in range(times.steps + 1)])
+        ended_by = np.zeros((0, 0))
     else:
-        ends = _step_times(ready, threads, progress, check)
+        ends, ended_by = _noted(ready, threads, progress, check)
     output = Output.empty(ready.plan, 1, times, with_state=False)
     used = threads_for(threads, -(-inputs.count // plan.lanes))
-    run = AdjointRun(plan, inputs, times, output, used, number, ends)
+    run = AdjointRun(plan, inputs, times, output, used, number, ends, ended_by)
     with reporter(progress, *run.total) as report:
         for done in run.calls():
             report(done)
     return run.gains
 
 
-def _step_times(
+def _noted(
     ready: Ready, threads: int | None, progress: Progress, check: engine.StartCheck | None
-) -> Array:
-    """Run and return the ends of all steps, [step][trajectory], s; the last one is repeated."""
+) -> tuple[Array, Array]:
+    """Run; return the ends of all steps, of which the last is repeated, and the terminal events.
+
+    They are `step_times` and `ended_by` of `AdjointRun`.
+    """
     times, count = ready.times, ready.inputs.count
     assert isinstance(times, LaneTime)
     room = min(max(FIRST_STEPS // count, LEAST_ROOM), MOST_ROOM)
@@ -170,6 +180,10 @@ def _step_times(
     after = np.arange(most + 1)[:, None] > steps
     last = ends[steps, np.arange(width)]
     ends[after] = np.broadcast_to(last, ends.shape)[after]
-    failed = output.status != 0
+    failed = (output.status != OK) & (output.status != EVENT)
     ends[:, :count][:, failed] = np.nan
-    return ends
+    ended_by = np.full((1, width), -1.0)
+    if output.events is not None:
+        for trajectory, event in ending_events(ready, output):
+            ended_by[0, trajectory] = event
+    return ends, ended_by

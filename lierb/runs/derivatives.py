@@ -242,7 +242,7 @@ def _end_at_events(
     ends : derivatives at a fixed time, changed in place.   times : likewise.
     in_time : time derivatives, [column][trajectory].
     """
-    for trajectory, event in _ending_events(ready, output):
+    for trajectory, event in ending_events(ready, output):
         value = columns["events"].start + event
         with np.errstate(divide="ignore", invalid="ignore"):  # an event that only touches zero
             times[:, trajectory] = -ends[value, :, trajectory] / in_time[value, trajectory]
@@ -251,7 +251,7 @@ def _end_at_events(
             )
 
 
-def _ending_events(ready: Ready, output: Output) -> Iterator[tuple[int, int]]:
+def ending_events(ready: Ready, output: Output) -> Iterator[tuple[int, int]]:
     """Yield the trajectories that an event has ended, with the number of the event."""
     rows: Any = output.events
     terminal = np.array([event.terminal for event in ready.model.events])

@@ -203,6 +203,66 @@ def test_a_conserved_energy_has_the_gradient_of_the_start():
     assert abs(last["omega0"][0, 1] - (0.06 + 2.0 * 0.16) * 2.0) < 1e-10
 
 
+# ---- terminal events ---------------------------------------------------------------------------
+
+
+@lierb.event(direction=-1, terminal=True, ground=0.0)
+def landing(r, params):
+    return r[2] - params.ground
+
+
+@lierb.event(direction=1)
+def passing(r):
+    return r[2] - 0.4
+
+
+@lierb.event(terminal=True, wall=100.0)
+def arrival(r, params):
+    return r[0] - params.wall
+
+
+@lierb.observable(share=0.5)
+def reach(t, r, params):
+    return r[0] + params.share * t
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "options", [{"rtol": 1e-10}, pytest.param({"dt": 1e-2}, marks=pytest.mark.long)]
+)
+def test_objectives_at_terminal_events_change_with_the_end_time(options):
+    # z = v t − g t²/2 = ground at t, and the objective is u t + t/2; the last throw flies on.
+    speeds = np.array((3.0, 1.0, 20.0))
+    ball = lierb.Problem(
+        lierb.bodies.sphere(0.1, mass=1.0), lierb.joints.free(), (0.0, 0.0, -9.81),
+        observables=reach(), events=(passing(), arrival(), landing()),
+    )  # fmt: skip
+    twists = np.array([[0, 0, 0, 2.0, 0, v] for v in speeds])
+    found = lierb.gradient(ball, "reach", twist0=twists, t_end=1.0, **options)
+    ends = np.minimum(2.0 * speeds / 9.81, 1.0)
+    assert np.abs(found.value - 2.5 * ends).max() < 1e-9
+    lands = ends < 1.0
+    by_speed = np.where(lands, 2.5 * 2.0 / 9.81, 0.0)
+    by_gravity = np.where(lands, 2.5 * ends / 9.81, 0.0)  # t = −2 v/g₃
+    by_ground = np.where(lands, -2.5 / speeds, 0.0)
+    assert np.abs(found["twist0"][:, 5] - by_speed).max() < 1e-9
+    assert np.abs(found["twist0"][:, 3] - ends).max() < 1e-9
+    assert np.abs(found["gravity"][:, 2] - by_gravity).max() < 1e-9
+    assert np.abs(found["landing.ground"][:, 0] - by_ground).max() < 1e-9
+    assert np.abs(found["reach.share"][:, 0] - ends).max() < 1e-9
+    assert not found["arrival.wall"].any()
+
+
+@pytest.mark.long
+def test_terminal_events_of_a_top_have_derivatives_forwards():
+    @lierb.event(terminal=True, angle=-0.2)
+    def tips(R, params):
+        return R[2, 2] - params.angle
+
+    # The end of the last step is its continuous extension forwards, and a step of its length here.
+    agree(top(events=tips()), "aim", 1e-8, **START | {"t_end": 2.0}, rtol=1e-11)
+
+
 # ---- memory and failures -----------------------------------------------------------------------
 
 
@@ -256,16 +316,16 @@ def test_a_failed_trajectory_has_no_gradient_and_leaves_the_others_alone(options
 # ---- arguments ---------------------------------------------------------------------------------
 
 
-@lierb.event(terminal=True)
-def stop(r):
-    return r[2]
+@lierb.controller(every=0.1)
+def hold(omega):
+    return {"rate": omega[0]}
 
 
 @pytest.mark.parametrize(
     ("more", "of", "message"),
     [
         ({}, "speed", "of='speed' is unknown; choose from energy, aim"),
-        ({"events": stop()}, "aim", "stop ends trajectories at times of their own"),
+        ({"controllers": hold(every=0.1)}, "aim", "hold is a controller"),
     ],
 )
 def test_runs_without_an_adjoint_are_refused_by_name(more, of, message):

@@ -35,15 +35,16 @@ from lierb.kernels.numbers.arithmetic import (
     store,
     where,
 )
-from lierb.kernels.numbers.dual import Dual, parts_of, value_of
+from lierb.kernels.numbers.dual import Dual, parts_of, value_of, values
 from lierb.kernels.numbers.tape import Tape
-from lierb.kernels.numbers.zero import is_zero
+from lierb.kernels.numbers.zero import ZERO, is_zero
 from lierb.kernels.stepping.lane_clock import Trial
 from lierb.kernels.stepping.method import Interval
 from lierb.kernels.stepping.method_of import method_of
+from lierb.kernels.systems.derivatives import in_time
 from lierb.kernels.systems.extra_states import Control, with_signals
 from lierb.kernels.systems.plan import AnyPlan
-from lierb.kernels.systems.signals import states_of
+from lierb.kernels.systems.signals import events_of, states_of
 from lierb.kernels.systems.state import State
 from lierb.kernels.systems.system_of import system_of
 from lierb.kernels.tracing.trace import kernel
@@ -225,26 +226,56 @@ def kept(run: Adjoint, like: State, memory: Any, row: Any) -> State:
 # ---- backwards ---------------------------------------------------------------------------------
 
 
-def objective(run: Adjoint, body: Any, state: State, time: Any) -> Any:
+def objective(run: Adjoint, body: Any, state: State, time: Any) -> tuple[Any, tuple[Any, ...]]:
+    """Return the objective, and the values of all events."""
     system = system_of(run.plan)
     body = with_signals(run.plan, body, state, NO_CONTROL)
     seen = system.motion(body, state, time)
+    events = system.events(body, seen, time) if events_of(run.plan) else ()
     if run.objective == 0:
-        return system.measured(body, state, seen, time).values["energy"]
-    return system.observed(body, seen, time)[run.objective - 1]
+        return system.measured(body, state, seen, time).values["energy"], events
+    return system.observed(body, seen, time)[run.objective - 1], events
 
 
-def start_gains(run: Adjoint, body: Any, state: State, memory: Any, time: Any) -> Any:
-    """Return the objective at the end of a run; make its gains those by the state there."""
+def start_gains(
+    run: Adjoint, body: Any, state: State, memory: Any, time: Any, ended_by: Any, column: Any
+) -> Any:
+    """Return the objective at the end of a run; make its gains those by the state there.
+
+    ended_by : index of the event g that has ended a trajectory, −1 for none, [1][trajectory]. The
+    end time then changes by −∂g/ġ, and the objective f by ∂f − (ḟ/ġ) ∂g.
+    """
     gains = Gains(run, body, memory)
     like = moving(state)[0]
     tape = tape_at(like)
-    numbers = opened_body(tape, body), opened_state(tape, state)
-    value = objective(run, *numbers, time)
-    found = tape.gains([(value, 0.0 * like + 1.0)])
+    opened = opened_body(tape, body), opened_state(tape, state)
+    value, events = objective(run, *opened, time)
+    results = [(value, 0.0 * like + 1.0)]
+    if events:
+        rate, rates = _rates(run, values(body), state, time)
+        ended = load(ended_by, (0, column), run.lanes)
+        results += [
+            (event, where(ended == float(i), -rate / own, 0.0))
+            for i, (event, own) in enumerate(zip(events, rates, strict=True))
+        ]
+    found = tape.gains(results)
     gains.put(0, [0.0 * like] * gains.of_body)
     gains.put(gains.of_body, (0.0 * like if is_zero(x) else x for x in found))
     return 0.0 * like + value_of(value)
+
+
+def _rates(run: Adjoint, body: Any, state: State, time: Any) -> tuple[Any, list[Any]]:
+    """Return the time derivatives of the objective and of all events."""
+    like = 0.0 * moving(state)[0]
+    seen = with_signals(run.plan, body, state, NO_CONTROL)
+    moved = in_time(system_of(run.plan), seen, state, like + time)
+    value, events = objective(run, body, moved, Dual(like + time, (1.0,)))
+    first, *others = (like + (parts_of(x) or (ZERO,))[0] for x in (value, *events))
+    return first, others
+
+
+def end_time(run: Adjoint, times: Any, steps: Any, column: Any, end: Any) -> Any:
+    return load(times, (steps, column), run.lanes) if run.plan.has_lane_clocks else end
 
 
 def step_back(run: Adjoint, body: Any, state: State, memory: Any, at: Interval) -> None:
@@ -265,9 +296,9 @@ def step_back(run: Adjoint, body: Any, state: State, memory: Any, at: Interval) 
 def start_back(run: Adjoint, body: Any, state: State, inputs: Any, memory: Any, at: Any) -> None:
     """Add the gains by the start's inputs and by the body.   state : at the start."""
     gains = Gains(run, body, memory)
-    values = load_values(run.plain, inputs)
-    tape = tape_at(values[0])
-    numbers, opened = tape.opened(values), opened_body(tape, body)
+    given = load_values(run.plain, inputs)
+    tape = tape_at(given[0])
+    numbers, opened = tape.opened(given), opened_body(tape, body)
     started = begun(run.plan, opened, numbers, at)
     pairs = zip(flatten(started), flatten(state), strict=True)
     results = gains.of(gains.of_state, [x for x, y in pairs if not is_constant(y)])
@@ -277,9 +308,9 @@ def start_back(run: Adjoint, body: Any, state: State, inputs: Any, memory: Any, 
 def body_back(run: Adjoint, body: Any, inputs: Any, memory: Any) -> None:
     """Add the gains by the body's inputs."""
     gains = Gains(run, body, memory)
-    values = load_values(run.plain, inputs)
-    tape = tape_at(values[0])
-    made = flatten(system_of(run.plan).body(tape.opened(values)))
+    given = load_values(run.plain, inputs)
+    tape = tape_at(given[0])
+    made = flatten(system_of(run.plan).body(tape.opened(given)))
     results = [x for x, mark in zip(made, flatten(body), strict=True) if isinstance(mark, Dual)]
     gains.add(0, tape.gains(gains.of(gains.of_body, results)))
 
@@ -292,8 +323,8 @@ def put_gains(run: Adjoint, memory: Any, value: Any, gains: Any, column: Any) ->
 
 
 for _formula in (
-    load_bodies, load_start, with_start_rank, interval_at, step, keep, kept, start_gains, step_back,
-    start_back, body_back, put_gains,
+    load_bodies, load_start, with_start_rank, interval_at, step, keep, kept, end_time, start_gains,
+    step_back, start_back, body_back, put_gains,
 ):  # fmt: skip
     kernel(_formula)
 
@@ -306,6 +337,7 @@ def differentiate_blocks(run, inputs, counter, jobs):
     """
     job, lanes = jobs[0], inputs.shape[1]
     times, memory, gains = numbers_at(job.step_times), numbers_at(job.memory), numbers_at(job.gains)
+    ended_by = numbers_at(job.ended_by)
     steps, every, rows, dt = job.steps, job.kept_every, job.state_rows, job.dt
     first_row = job.first_row  # of the states that are kept
     between = first_row + rows * ((steps + every - 1) // every)
@@ -327,7 +359,8 @@ def differentiate_blocks(run, inputs, counter, jobs):
                 if k % every == 0:
                     keep(run, state, memory, first_row + rows * (k // every))
                 state = step(run, body, state, interval_at(run, times, k, column, dt))
-            value = start_gains(run, of_inputs, state, memory, job.end)
+            time = end_time(run, times, steps, column, job.end)
+            value = start_gains(run, of_inputs, state, memory, time, ended_by, column)
             for part in range((steps - 1) // every, -1, -1):
                 first = part * every
                 last = min(first + every, steps)
