@@ -39,9 +39,9 @@ FIRST_CALL_STEPS = 2000  # steps of a block in a thread's first call
 class AdjointRun(Run[Any]):
     """A run whose steps are known, differentiated backwards.
 
-    number : of the objective, see `Adjoint`.   step_times : ends of the steps, [step][trajectory or
-    1], s; row 0 has the start.   ended_by : indices of terminal events, −1 for
-    none, [1][trajectory].
+    number : of the objective, see `Adjoint`.
+    step_times : ends of the steps, [step][trajectory or 1], s; row 0 has the start.
+    ended_by : indices of terminal events, −1 for none, [1][trajectory].
     """
 
     number: int
