@@ -113,7 +113,7 @@ def slopes(errors) -> np.ndarray:
     return np.log2(errors[:-1] / errors[1:])
 
 
-QUICK = [("RATTLie", "SE3"), ("BLieDF2", "SO3xR3")]
+QUICK = [("RATTLie", "SE3")]
 FORMS = [
     pytest.param(*form, marks=pytest.mark.slow if form in QUICK else pytest.mark.long)
     for form in ((m, c) for m in WITH_CONSTRAINTS for c in CSPACES)
