@@ -46,6 +46,9 @@ if TYPE_CHECKING:
 # Bricard linkage, up to 0.8 off in every coordinate) all converge with 0.1 to 1e-4, 229 with 1,
 # 224 without damping.
 DAMPING = 1e-2
+# In a search from random starts: 183 of 200 of a four-bar close in 15 steps and no more in 50; of
+# two four-bars in series 86 of 100 in 15 steps, 88 in 30. The others would take all steps.
+SEARCH_STEPS = 20
 MISSED = 0.1 * START_TOLERANCE  # largest residual of a projected twist, relative to the speed
 CONTRADICTION = 1e-6  # largest residual of rows with prescribed rates, relative to these
 MOST_NUMBERS = 2**22  # largest number of entries of the matrices that are decomposed at once
@@ -144,7 +147,7 @@ def closed_members(
     results, chosen = [], []
     with reporter(None, parts[0].count, ASSEMBLIES) as report:
         for part in parts:
-            last = _newton(part, t0)
+            last = _newton(part, t0, SEARCH_STEPS)
             against = [wrong_way(s, last.system.count) for s in last.states]
             is_closed = last.is_closed.copy()
             is_closed[np.concatenate([*against, np.zeros(0, np.int64)])] = False
@@ -192,7 +195,7 @@ class Iterate(NamedTuple):
         ]
 
 
-def _newton(part: Part, t0: float) -> Iterate:
+def _newton(part: Part, t0: float, steps: int = NEWTON_STEPS) -> Iterate:
     """Close the poses of a part.
 
     Newton's steps are damped by the squared residual (Levenberg, Marquardt). Convergence is then
@@ -201,7 +204,7 @@ def _newton(part: Part, t0: float) -> Iterate:
     system = System(part.mechanism, len(part.arrays[0]), is_stout=True)
     poses = [pose_components(pose) for pose in part.arrays]
     was_closed = np.zeros(system.count, dtype=bool)
-    for step in range(NEWTON_STEPS + 1):
+    for step in range(steps + 1):
         states = system.states(poses, None, np.float64(t0))
         states = _with_rows(states, lambda r: r.is_holonomic or r.second is not None)
         if step == 0:
@@ -215,7 +218,7 @@ def _newton(part: Part, t0: float) -> Iterate:
                 is_closed &= excess <= 1.0
         if step == 0:
             was_closed = is_closed
-        if is_closed.all() or step == NEWTON_STEPS:
+        if is_closed.all() or step == steps:
             break
         rows = system.decomposed(states)
         wanted = system.column([-plain(h) for values in off for h in values]) / rows.lengths
