@@ -17,7 +17,7 @@ from lierb.kernels.stepping.clock import StepClock
 from lierb.kernels.systems.plan import AnyPlan
 from lierb.runs.driver import Run
 from lierb.runs.inputs import Inputs
-from lierb.runs.lane_engine import LaneRun, LaneTime
+from lierb.runs.lane_engine import NOT_NOTED, LaneRun, LaneTime
 from lierb.runs.output import Chunk, Output
 from lierb.runs.threads import CALL_SECONDS, threads_for
 from lierb.support.arrays import Array
@@ -39,7 +39,7 @@ def integrate(
     threads: int | None = None,
     progress: Progress = None,
     check: StartCheck | None = None,
-    step_times: Array | None = None,
+    step_times: Array = NOT_NOTED,
 ) -> Output:
     """Run every trajectory to the end.
 
@@ -54,14 +54,11 @@ def integrate(
     used = threads_for(threads, -(-inputs.count // plan.lanes))
     run: BlockRun | LaneRun
     if isinstance(times, LaneTime):
-        noted = {} if step_times is None else {"step_times": step_times}
-        run = LaneRun(plan, inputs, times, output, used, **noted)
+        run = LaneRun(plan, inputs, times, output, used, step_times)
     else:
         run = BlockRun(plan, inputs, times, output, used)
     if check is not None and not run.checks_late:
-        for first, starts in run.starts():
-            if not check(starts, first):
-                break
+        _check_starts(run, check)
         check = None
     begin = RESUMED if inputs.state is not None else 0 if check is None else UNSEEN
     with reporter(progress, *run.total) as report:
@@ -87,6 +84,10 @@ def check_starts(
     run = BlockRun(
         plan, inputs, times, output, threads_for(threads, -(-inputs.count // plan.lanes))
     )
+    _check_starts(run, check)
+
+
+def _check_starts(run: BlockRun | LaneRun, check: StartCheck) -> None:
     for first, starts in run.starts():
         if not check(starts, first):
             break

@@ -33,6 +33,7 @@ MOST_ITERATIONS = 1 << 30
 EVENT_ROOM = 4096  # least capacity of a workspace for the events of one call
 SHARES = 1000  # units of progress of a trajectory
 COPIES = 4  # copies of the events in memory while the table is made
+NOT_NOTED = np.zeros((0, 0))  # in place of the ends of steps
 IDLE = 1.0  # termination code of a lane before its first trajectory
 
 
@@ -118,10 +119,11 @@ class Events(NamedTuple):
 class LaneRun(Run[LaneTime]):
     """A run with one clock per lane.
 
-    step_times : ends of the steps, [step][trajectory], s, to be filled in; row 0 is not.
+    step_times : ends of the steps, [step][trajectory], s, to be filled in; row 0 is not. NOT_NOTED
+        for none.
     """
 
-    step_times: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    step_times: Array
 
     @property
     def total(self) -> tuple[int, str]:

@@ -7,12 +7,10 @@ from typing import Any
 
 from lierb.errors import ArgumentError, brief
 from lierb.kernels.mechanics.elements import AddedStates, UserStates
-from lierb.kernels.mechanics.rows import Rows
 from lierb.methods import Method
 from lierb.methods.method import Limits
 from lierb.model.base import Model
 from lierb.model.formulation import Formulation
-from lierb.model.mechanism.mechanism import Mechanism
 from lierb.model.problem import Problem
 from lierb.runs.timing import Timing
 
@@ -68,16 +66,8 @@ def _require_derivatives(method: Method, model: Model) -> None:
                 )
 
 
-def _rows(model: Model) -> Rows:
-    if isinstance(model, Problem):
-        return model.rows
-    assert isinstance(model, Mechanism)
-    return tuple(row for each in model.connections for row in each.rows)
-
-
 def _check_limits(method: Method, limits: Limits, model: Model, timing: Timing) -> None:
     name = f"method {method.name}"
-    rows = _rows(model)
     if not (isinstance(model, Problem) or limits.takes_constraints):
         raise ArgumentError(
             f"{name} is for {limits.systems}, a lierb.Problem; for a mechanism take RATTLie, an "
@@ -103,7 +93,7 @@ def _check_limits(method: Method, limits: Limits, model: Model, timing: Timing) 
                 f"{name} has a constant mass matrix, to which {element.name} would add; take an "
                 "explicit method or a Rosenbrock method"
             )
-    for row in rows:
+    for row in (row for _, rows in model.rows_by_name for row in rows):
         if row.depends_on_time or not row.is_holonomic:
             what = "prescribes a motion" if row.depends_on_time else "is one of velocities"
             raise ArgumentError(

@@ -42,9 +42,9 @@ from lierb.kernels.stepping.lane_clock import Trial
 from lierb.kernels.stepping.method import Interval
 from lierb.kernels.stepping.method_of import method_of
 from lierb.kernels.systems.derivatives import in_time
-from lierb.kernels.systems.extra_states import Control, with_signals
+from lierb.kernels.systems.extra_states import Control, with_initial_states, with_signals
 from lierb.kernels.systems.plan import AnyPlan
-from lierb.kernels.systems.signals import events_of, states_of
+from lierb.kernels.systems.signals import events_of
 from lierb.kernels.systems.state import State
 from lierb.kernels.systems.system_of import system_of
 from lierb.kernels.tracing.trace import kernel
@@ -174,9 +174,7 @@ def with_start_rank(run: Adjoint, bodies: tuple[Any, Any], state: State) -> tupl
 def begun(plan: AnyPlan, body: Any, numbers: list[Any], at: Interval) -> State:
     system = system_of(plan)
     state = system.start(body, system.placed(body, numbers), numbers)
-    if states_of(plan):
-        own, zero = system.initial_states(body, state), 0.0 * body.mass
-        state = state._replace(states=tuple(zero + x for x in own))
+    state = with_initial_states(system, body, state, 0.0 * body.mass)
     return method_of(plan).started(system, body, state, at) if state.carried else state
 
 

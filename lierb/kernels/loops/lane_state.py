@@ -49,14 +49,13 @@ from lierb.kernels.systems.derivatives import (
     parts_side_by_side,
     with_parts,
 )
-from lierb.kernels.systems.extra_states import Control, with_signals
+from lierb.kernels.systems.extra_states import Control, with_initial_states, with_signals
 from lierb.kernels.systems.layout import LANE_END
 from lierb.kernels.systems.plan import AnyPlan
 from lierb.kernels.systems.signals import (
     controllers_of,
     lane_end,
     outputs_of,
-    states_of,
 )
 from lierb.kernels.systems.state import OK, State
 from lierb.kernels.systems.system_of import in_memory, system_of
@@ -159,8 +158,7 @@ def own_start(plan: AnyPlan, body: Any, inputs: Any, rows: Any) -> State:
     """Return the initial state, with initial values of the extra states."""
     placed = load_placed(plan, body, inputs)
     state, zero = initial_state(plan, body, placed, inputs), 0.0 * row_of(plan, rows, NOISE_INDEX)
-    own = system_of(plan).initial_states(body, state) if states_of(plan) else ()
-    return with_all_parts(plan, state._replace(states=tuple(zero + x for x in own)))
+    return with_all_parts(plan, with_initial_states(system_of(plan), body, state, zero))
 
 
 def started(

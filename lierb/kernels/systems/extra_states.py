@@ -11,6 +11,7 @@ from lierb.kernels.numbers.vec import Vec
 from lierb.kernels.systems.plan import AnyPlan
 from lierb.kernels.systems.signals import controllers_of, states_of
 from lierb.kernels.systems.state import State
+from lierb.kernels.systems.system import AnySystem
 
 
 class Control(NamedTuple):
@@ -29,6 +30,12 @@ def with_signals(plan: AnyPlan, body: Any, state: State, control: Control) -> An
     if not (states_of(plan) or controllers_of(plan)):
         return body
     return body._replace(signals=Signals(state.states, control.controls, control.memory))
+
+
+def with_initial_states(system: AnySystem, body: Any, state: State, zero: Any) -> State:
+    """Return the state at the start with the extra states.   zero : 0, of the kind of numbers."""
+    own = system.initial_states(body, state) if states_of(system.plan) else ()
+    return state._replace(states=tuple(zero + x for x in own))
 
 
 def in_states(plan: AnyPlan, numbers: Vec) -> Iterator[Vec]:
