@@ -173,7 +173,9 @@ def gradient(
     prepared = prepared._replace(inputs=inputs)
     fields = [f.name for f, _ in inputs.columns if f.name != "state"]
     plan = plan_with_derivatives(prepared.plan, tuple(fields))
-    gains = gains_of(prepared, plan, number, threads, progress, start_check(prepared, 5))
+    gains = gains_of(
+        prepared, plan, number, threads, progress, start_check(prepared, 6 + plan.has_lane_clocks)
+    )
     failed = int(np.isnan(gains[-1]).sum())
     if failed:
         warnings.warn(

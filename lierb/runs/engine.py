@@ -58,7 +58,9 @@ def integrate(
     else:
         run = BlockRun(plan, inputs, times, output, used)
     if check is not None and not run.checks_late:
-        _check_starts(run, check)
+        for first, starts in run.starts():
+            if not check(starts, first):
+                break
         check = None
     begin = RESUMED if inputs.state is not None else 0 if check is None else UNSEEN
     with reporter(progress, *run.total) as report:
@@ -84,10 +86,6 @@ def check_starts(
     run = BlockRun(
         plan, inputs, times, output, threads_for(threads, -(-inputs.count // plan.lanes))
     )
-    _check_starts(run, check)
-
-
-def _check_starts(run: BlockRun | LaneRun, check: StartCheck) -> None:
     for first, starts in run.starts():
         if not check(starts, first):
             break

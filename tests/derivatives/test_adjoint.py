@@ -356,6 +356,16 @@ def test_a_start_off_its_joint_is_refused():
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("options", [STEPS, pytest.param({"rtol": 1e-8}, marks=pytest.mark.long)])
+def test_warnings_of_a_start_point_to_the_callers_line(options):
+    twist = np.add(JOINT.twist(omega=(1.0, 2.0, 3.0)), (0.0, 0.0, 0.0, 0.1, 0.0, 0.0))
+    run = {"twist0": twist, "t_end": 0.2, "solver": "saddle", "check": "warn"} | options
+    with pytest.warns(lierb.errors.InconsistentStateWarning) as told:
+        lierb.gradient(top(), "aim", "body.mass", **run)
+    assert [each.filename for each in told] == [__file__]
+
+
+@pytest.mark.slow
 def test_a_gradient_describes_itself():
     found = lierb.gradient(top(), "aim", "body.mass", **START, **STEPS)
     assert repr(found).startswith("gradient of aim, 1 trajectory\n  body.mass")
