@@ -313,9 +313,10 @@ def test_bodies_are_checked_as_one_with_what_is_welded_to_them(tmp_path, moments
 
 @pytest.mark.parametrize("moments", UNSOUND.values(), ids=UNSOUND)
 def test_bodies_that_move_are_refused_by_name(tmp_path, moments):
+    """On a hinge beside it a point mass would do."""
     inertial = f'<inertial pos="0.02 0.03 0.01" {moments}/>'
-    with pytest.raises(ArgumentError, match=r"body body(:| moves and has no mass)"):
-        read(one_body(tmp_path, "<joint/>", inertial=inertial))
+    with pytest.raises(ArgumentError, match=r"body body(:| has no mass or no inertia)"):
+        read(one_body(tmp_path, '<joint type="ball"/>', inertial=inertial))
 
 
 def test_a_mass_on_the_ground_is_said(tmp_path):
@@ -654,7 +655,8 @@ def test_joints_that_are_none_of_the_catalogue_have_links_without_mass_between_t
     path = one_body(tmp_path, joints)
     mechanism, left_out = read(path)
     assert mechanism.names == ("base", "body_1", "body")
-    assert left_out == ("links without mass, which have 1e-12 of what hangs on them: body_1",)
+    (line,) = left_out
+    assert line == "links without mass or inertia, which have 1e-12 of what hangs on them: body_1"
     model = model_of(path)
     model.opt.timestep, model.opt.integrator = 2.5e-4, mujoco.mjtIntegrator.mjINT_RK4
     data = mujoco.MjData(model)
@@ -813,7 +815,7 @@ def test_links_without_mass_that_nothing_moves_are_refused(tmp_path):
     )
     with (
         pytest.warns(LeftOutWarning),
-        pytest.raises(ArgumentError, match="body body moves and has no mass, and can move without"),
+        pytest.raises(ArgumentError, match="body has no mass or no inertia, and can move without"),
     ):
         lierb.Mechanism.from_mjcf(path)
     path = one_body(

@@ -116,7 +116,7 @@ def test_c10_a_pendulum_has_its_period_whatever_its_size():
     """newton#2211, mujoco#1086: mm and grams are inflated or refused. 1 m to 1 µm, 1 kg to 1 ag.
 
     Right: half a period is 2 K(sin²(θ₀/2))/w. The last one is c20 (CodingTrain#533, drake#16992),
-    a point mass: it has 1e-12 of the inertia that its mass has about the pivot.
+    a point mass: a sphere with 1e-12 of the inertia that its mass has about the pivot.
     """
     length = np.array([1.0, 1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1.0])
     gyration = np.array([0.3] * 7 + [1e-6]) * length

@@ -14,6 +14,8 @@ from public_cases.shared import read_urdf, summed, urdf_joint, urdf_link
 
 mujoco = pytest.importorskip("mujoco")
 
+G = 9.81  # m/s²
+
 
 def read_mjcf(path, text: str) -> lierb.Mechanism:
     """The mechanism of an MJCF file with this text, whatever it leaves out."""
@@ -47,6 +49,46 @@ def test_c07_a_free_root_without_mass_turns_as_its_child_does(tmp_path):
     np.testing.assert_allclose(summed(result, "root.omega")[0], right, rtol=0, atol=1e-6)
     R, r = summed(result, "root.rotation").reshape(3, 3), summed(result, "root.position")[0]
     np.testing.assert_allclose(R @ body.com + r, body.com, rtol=0, atol=1e-7)
+
+
+def test_c20_links_of_files_may_be_point_masses(tmp_path):
+    """drake#16992; icub_description: links with a mass and no inertia are refused.
+
+    Right: SciPy, with the textbook's equations of a double pendulum of point masses.
+    """
+    first, second, length, under = 0.7, 1.3, 0.4, 0.6  # kg, kg, m, m
+    bob = lambda name, mass, length: urdf_link(name, mass, (0, 0, 0), f"0 0 {-length}")
+    hinge = '<axis xyz="0 -1 0"/><origin xyz="0 0 {}"/>'
+    machine, left_out = read_urdf(
+        tmp_path / "pendulum.urdf",
+        f"""<robot name="pendulum"><link name="base"/>
+      {bob("upper", first, length)}{bob("lower", second, under)}
+      {urdf_joint("top", "continuous", "base", "upper", hinge.format(0))}
+      {urdf_joint("knee", "continuous", "upper", "lower", hinge.format(-length))}</robot>""",
+        gravity=(0.0, 0.0, -G),
+    )
+    assert left_out[0].endswith(": upper, lower")
+
+    def rates(_, state):
+        a, b, u, w = state  # angles to the vertical
+        c, s = np.cos(a - b), np.sin(a - b)
+        mass = [[(first + second) * length, second * under * c], [length * c, under]]
+        load = [
+            -second * under * w * w * s - (first + second) * G * np.sin(a),
+            length * u * u * s - G * np.sin(b),
+        ]
+        return [u, w, *np.linalg.solve(mass, load)]
+
+    start = (1.2, -0.5, 0.3, 0.8)
+    right = solve_ivp(rates, (0.0, 1.0), start, "DOP853", rtol=1e-12, atol=1e-12).y[:, -1]
+    angles = {"upper": start[0], "lower": start[1] - start[0]}
+    pose0 = machine.pose(angles)
+    twist0 = machine.twist({"upper": start[2], "lower": start[3] - start[2]}, pose0)
+    result = lierb.integrate(machine, pose0=pose0, twist0=twist0, rtol=1e-10, t_end=1.0)
+    for name, angle, rate in zip(machine.names, right[:2], right[2:], strict=True):
+        R = summed(result, f"{name}.rotation").reshape(3, 3)
+        np.testing.assert_allclose(np.arctan2(-R[0, 2], R[0, 0]), angle, rtol=0, atol=1e-8)
+        np.testing.assert_allclose(summed(result, f"{name}.omega")[0], (0, -rate, 0), atol=1e-7)
 
 
 def test_c26_a_mimicked_joint_moves_with_the_other(tmp_path):

@@ -179,10 +179,13 @@ def _objection(about_com: Array, rounding: Array | float) -> str:
     flat = about_com.reshape(-1, 3, 3)
     principal = np.linalg.eigvalsh(flat)
     for body in np.flatnonzero(principal[:, 0] <= 0.0)[:1]:
-        return (
+        message = (
             f"{body_label('inertia', int(body), len(flat))} is not positive definite: its "
             f"principal moments about the centre of mass are {_listed(principal[body])} kg m²"
         )
+        if not np.any(flat[body]):
+            message += "; for a point mass take lierb.bodies.sphere with a small radius"
+        return message
     excess = principal[:, 2] - principal[:, 0] - principal[:, 1]
     for body in np.flatnonzero(excess > TRIANGLE_TOLERANCE * principal[:, 2] + rounding)[:1]:
         return (

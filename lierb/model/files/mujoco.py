@@ -23,6 +23,7 @@ from lierb.model.files.welded_bodies import (
     PART,
     WORLD,
     is_massless,
+    is_point,
     label_of,
     light_body,
     moving_body,
@@ -67,7 +68,7 @@ def read(
         raise ArgumentError(f"{brief(fspath(path))} has no body that moves")
     if parts.light:
         parts.left_out.append(
-            f"links without mass, which have {PART:.0e} of what hangs on them: "
+            f"links without mass or inertia, which have {PART:.0e} of what hangs on them: "
             + ", ".join(parts.light)
         )
     parts.left_out += [*_lacking(model), *left_out]
@@ -93,7 +94,7 @@ def _add_links(
         name = parts.free_name(model.body(i).name, label)
         placed.append(Placed(name, np.eye(4)))
         body = moving_body(model, i, groups[i])
-        if is_massless(model, groups[i]):
+        if is_massless(model, groups[i]) or is_point(model, i, groups[i]):
             parts.light.append(name)
         _add_chain(model, parts, i, Placed(on.link, where), name, body, limit_stiffness)
     fixed = [

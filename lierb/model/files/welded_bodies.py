@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from lierb.errors import ArgumentError, InertiaError, LierbError
-from lierb.model.bodies.body import Body
+from lierb.model.bodies.body import ROUNDING, Body, moved_inertia
 from lierb.support.arrays import Array
 
 if TYPE_CHECKING:
@@ -15,8 +15,9 @@ if TYPE_CHECKING:
 
 WORLD = 0  # MuJoCo's index of the ground
 
-# Files put bodies without mass between the joints of a mobile base or of a shoulder. Such a link
-# gets this part of the mass and the inertia of what hangs on it, which is nearly rounding.
+# Files put bodies without mass, or without inertia, between the joints of a mobile base, a hip or
+# a shoulder. Such a link gets this part of the mass and the inertia of what hangs on it, which is
+# nearly rounding.
 PART = 1e-12
 
 
@@ -38,21 +39,24 @@ def pose_of(position: Array, quaternion: Array) -> Array:
 def moving_body(model: MjModel, i: int, members: list[int]) -> Body:
     """Return the body of a link. members : i, and the bodies merged with it.
 
-    Without any mass it is light, by all that hangs on it. Raises ArgumentError with their names if
-    nothing with a mass does, or if the inertia is not physical.
+    Without any mass it is light, by all that hangs on it; with a mass but no inertia it is a small
+    sphere. Raises ArgumentError with their names if nothing with a mass hangs on it, or if the
+    inertia is not physical.
     """
-    label, counted = label_of(model, i), members
-    is_light = is_massless(model, members)
-    if is_light:
-        counted = _hanging_on(model, i)
-        if is_massless(model, counted):
-            raise ArgumentError(
-                f"body {label} moves and has no mass, so that its mass matrix is singular; give it "
-                "one, or weld it to another"
-            )
+    label, hanging = label_of(model, i), _hanging_on(model, i)
+    if is_massless(model, hanging):
+        raise ArgumentError(
+            f"body {label} moves and has no mass, so that its mass matrix is singular; give it "
+            "one, or weld it to another"
+        )
     try:
-        body = _sum(model, i, counted)
-        return _light(body) if is_light else body
+        if is_massless(model, members):
+            return light_body(model, i)
+        if is_point(model, i, members):
+            mass, centre, inertia = _sum(model, i, members)
+            extent = float(np.trace(_sum(model, i, hanging)[2]))
+            return Body(mass, inertia + PART * extent * np.eye(3), centre)
+        return _body(model, i, members)
     except LierbError as error:
         others = ", ".join(label_of(model, k) for k in members if k != i and _weighs(model, k))
         welded = f", with {others} welded to it" if others else ""
@@ -61,10 +65,7 @@ def moving_body(model: MjModel, i: int, members: list[int]) -> Body:
 
 def light_body(model: MjModel, i: int) -> Body:
     """Return the body, in the frame of body i, of a link without mass that body i hangs on."""
-    return _light(_sum(model, i, _hanging_on(model, i)))
-
-
-def _light(body: Body) -> Body:
+    body = _body(model, i, _hanging_on(model, i))
     return Body(PART * body.mass, PART * body.inertia, body.com)
 
 
@@ -77,8 +78,14 @@ def _hanging_on(model: MjModel, i: int) -> list[int]:
     return hanging
 
 
-def _sum(model: MjModel, i: int, members: list[int]) -> Body:
-    """Return the sum of the members' masses and inertias, as a body in the frame of body i."""
+def _body(model: MjModel, i: int, members: list[int]) -> Body:
+    """Return the members as one body in the frame of body i."""
+    mass, centre, inertia = _sum(model, i, members)
+    return Body(mass, inertia, centre)
+
+
+def _sum(model: MjModel, i: int, members: list[int]) -> tuple[float, Array, Array]:
+    """Return the members' mass, centre of mass and inertia about the origin, in body i's frame."""
     mass, moment, inertia = 0.0, np.zeros(3), np.zeros((3, 3))
     for k in members:
         frame = _pose_in(model, i, k) @ pose_of(model.body_ipos[k], model.body_iquat[k])
@@ -88,7 +95,7 @@ def _sum(model: MjModel, i: int, members: list[int]) -> Body:
         inertia += about + m * (c @ c * np.eye(3) - np.outer(c, c))
     if not mass:
         raise InertiaError("mass is zero")
-    return Body(mass, 0.5 * (inertia + inertia.T), moment / mass)
+    return mass, moment / mass, 0.5 * (inertia + inertia.T)
 
 
 def _pose_in(model: MjModel, i: int, k: int) -> Array:
@@ -103,7 +110,7 @@ def _pose_in(model: MjModel, i: int, k: int) -> Array:
 def _refusal(model: MjModel, i: int, members: list[int]) -> str:
     """Return the members' InertiaError message; empty if their inertia is physical."""
     try:
-        _sum(model, i, members)
+        _body(model, i, members)
     except InertiaError as error:
         return str(error)
     return ""
@@ -116,6 +123,16 @@ def _weighs(model: MjModel, i: int) -> bool:
 def is_massless(model: MjModel, members: list[int]) -> bool:
     """Return whether none of the bodies has a mass or an inertia."""
     return not any(_weighs(model, k) for k in members)
+
+
+def is_point(model: MjModel, i: int, members: list[int]) -> bool:
+    """Return whether the members have a mass, all at one point, and no inertia about it."""
+    if is_massless(model, members):
+        return False
+    mass, centre, inertia = _sum(model, i, members)
+    about_centre = moved_inertia(np.array(mass), inertia, centre, -1.0)
+    extent = np.trace(_sum(model, i, _hanging_on(model, i))[2])
+    return bool(extent > 0.0 and np.abs(about_centre).max() <= ROUNDING * extent)
 
 
 def rigid_groups(model: MjModel, merge_fixed: bool) -> tuple[dict[int, list[int]], dict[int, str]]:

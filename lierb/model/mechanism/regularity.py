@@ -42,6 +42,6 @@ def require_regular(mechanism: TreeKinematics, names: list[str]) -> None:
         ]
         name, _ = moves[int(np.argmax(sizes))]
         raise ArgumentError(
-            f"body {name} moves and has no mass, and can move without what hangs on it: the mass "
-            "matrix is singular; give it a mass, or weld it to another"
+            f"body {name} has no mass or no inertia, and can move without what hangs on it: the "
+            "mass matrix is singular; give it one, or weld it to another"
         )
