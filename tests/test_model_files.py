@@ -646,6 +646,10 @@ def test_other_joints_allow_the_same_poses(tmp_path, name):
         '<joint axis="1 0 0"/><joint axis="1 1 0"/>',  # not at right angles
         '<joint type="slide" axis="1 0 0"/><joint axis="1 1 0"/>',  # askew
         '<joint type="ball"/><joint type="slide" axis="1 0 0"/>',
+        pytest.param(  # a universal joint, about whose axes no spring acts
+            '<joint axis="1 0 0" stiffness="4" damping="0.3"/><joint axis="0 1 0" damping="0.2"/>',
+            marks=pytest.mark.long,
+        ),
     ],
 )
 def test_joints_that_are_none_of_the_catalogue_have_links_without_mass_between_them(
@@ -668,6 +672,22 @@ def test_joints_that_are_none_of_the_catalogue_have_links_without_mass_between_t
     # MuJoCo's steps, of about 1 m/s and 5 rad/s: 0.25 · 5⁵ (2.5e-4)⁴ / 120 is 3e-14
     np.testing.assert_allclose(result["body"].position[0], place.xpos, rtol=0, atol=1e-10)
     np.testing.assert_allclose(result["body"].rotation[0].ravel(), place.xmat, rtol=0, atol=1e-10)
+
+
+def test_joints_compose_only_if_their_forces_can_act(tmp_path):
+    plain, sprung = '<joint axis="1 0 0"/>', '<joint axis="1 0 0" stiffness="4" damping="0.3"/>'
+    other, stopped = '<joint axis="0 1 0"/>', '<joint axis="0 1 0" limited="true" range="-1 1"/>'
+    joints = lambda mechanism: [link.joint.name for link in mechanism.links[1:]]
+    composed, _ = read(one_body(tmp_path, plain + stopped))
+    assert joints(composed) == ["universal"]
+    single, left_out = read(one_body(tmp_path, sprung + other))
+    assert joints(single) == ["revolute", "revolute"]
+    (spring,) = single.forces
+    assert (spring.parameters["stiffness"], spring.parameters["damping"]) == (4.0, 0.3)
+    assert not any("stiffness" in line for line in left_out)
+    with_stops, _ = read(one_body(tmp_path, plain + stopped), limit_stiffness=100.0)
+    assert joints(with_stops) == ["revolute", "revolute"]
+    assert len(with_stops.forces) == 1
 
 
 @pytest.mark.slow

@@ -34,7 +34,15 @@ def composed(sequence: list[SimpleJoint], placed: Array) -> list[Joint]:
     placed : (4, 4), C₀ in the parent's body frame.
     """
     whole = _of_catalogue(sequence)
-    entries = [whole] if whole else [_single(x) for x in sequence]
+    return _joints([whole], placed) if whole else separate(sequence, placed)
+
+
+def separate(sequence: list[SimpleJoint], placed: Array) -> list[Joint]:
+    """Return one joint for each member of the sequence, placed as in `composed`."""
+    return _joints([_single(x) for x in sequence], placed)
+
+
+def _joints(entries: list[tuple[str, Array]], placed: Array) -> list[Joint]:
     return [
         joints.JOINTS[name](body_frame=frame, parent_frame=frame if k else placed @ frame)
         for k, (name, frame) in enumerate(entries)

@@ -46,6 +46,12 @@ class JointForces:
         return self.joint.name in WITH_FORCES.get(self.kind, ())
 
     @property
+    def needs_its_axis(self) -> bool:
+        """Return whether the joint has a force that can act only if its axis stays a joint's."""
+        has_stop = self.model.jnt_limited[self.j] and self.limit_stiffness is not None
+        return self.kind in WITH_FORCES and bool(has_stop or any(self.spring))
+
+    @property
     def spring(self) -> tuple[float, float]:
         """Return stiffness and damping, N m/rad and N m s/rad or N/m and N s/m."""
         damping = self.model.dof_damping[self.model.jnt_dofadr[self.j]]

@@ -15,7 +15,7 @@ import numpy as np
 from lierb.errors import ArgumentError, LierbError, brief, require_name
 from lierb.model.bodies.body import Body
 from lierb.model.files.compilation import compiled
-from lierb.model.files.composed_joints import SimpleJoint, composed
+from lierb.model.files.composed_joints import SimpleJoint, composed, separate
 from lierb.model.files.joint_forces import KINDS, JointForces
 from lierb.model.files.loops import add_loops
 from lierb.model.files.parts import GROUND, Parts, Placed
@@ -113,11 +113,18 @@ def _add_chain(
 ) -> None:  # fmt: skip
     """Add the link of body i, with links without mass between the joints that do not compose.
 
+    Joints compose if the catalogue has a joint with their motions, about whose axes their springs,
+    dampers and stops can act.
+
     base : pose of the body at q = 0, in its parent.
     """
-    first, parent = model.body_jntadr[i], base.link
+    first, parent, label = model.body_jntadr[i], base.link, label_of(model, i)
     sequence = [*range(first, first + model.body_jntnum[i])]
-    chain = composed([_simple_joint(model, j) for j in sequence], base.pose)
+    simple = [_simple_joint(model, j) for j in sequence]
+    chain = composed(simple, base.pose)
+    acting = [JointForces(model, j, label, chain[0], limit_stiffness) for j in sequence]
+    if len(chain) == 1 and any(x.needs_its_axis and not x.has_force for x in acting):
+        chain = separate(simple, base.pose)
     for k, joint in enumerate(chain, 1):
         link, own = name, body
         if k < len(chain):
@@ -125,7 +132,7 @@ def _add_chain(
             parts.light.append(link)
         parts.links.append((link, own, joint, parent))
         within = sequence if len(chain) == 1 else sequence[k - 1 : k]
-        _add_forces(model, parts, within, label_of(model, i), link, joint, limit_stiffness)
+        _add_forces(model, parts, within, label, link, joint, limit_stiffness)
         parent = link
 
 

@@ -95,8 +95,9 @@ class Mechanism(TreeKinematics):
         """Read the mechanism of an MJCF file, MuJoCo's format.
 
         Bodies keep their names. Hinge, slide, ball and free joints become joints of the catalogue;
-        several on one body become the joint that combines them, such as universal, or else links
-        without mass between them. A link without mass has 1e-12 of what hangs on it.
+        several on one body become the joint that combines them, such as universal, or else, too if
+        it would lose their springs, links without mass between them. A link without mass has 1e-12
+        of what hangs on it.
         `equality/connect` and `weld` become loops, `equality/joint` gears. Springs and dampers of
         joints that keep their axis become forces. `pose()` is the pose at qpos0. A LeftOutWarning
         lists the elements that are left out: contacts, friction, actuators, tendons and others.
