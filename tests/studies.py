@@ -125,7 +125,7 @@ def start(tmp_path, *options, text=TEXT) -> subprocess.Popen:
 
 def start_long(tmp_path, *options) -> subprocess.Popen:
     """A run of many seconds, its first part finished."""
-    text = TEXT.replace("n = 50", "n = 40_000").replace("part = 8", "part = 512")
+    text = TEXT.replace("n = 50", "n = 40_000").replace("part = 8", "part = 128")
     process = start(tmp_path, *options, text=text.replace("t_end = 0.05", "t_end = 1.0"))
     while not (tmp_path / "out" / "summary").exists() and process.poll() is None:
         time.sleep(0.1)

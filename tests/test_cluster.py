@@ -29,11 +29,11 @@ pytest.importorskip("distributed")
 import dask
 import dask.distributed
 
-BODIES = 12_000
+BODIES = 6_000
 SHORT = {
     "sample": {"n": BODIES},
     "integrate": {"dt": [1e-3], "t_end": 0.02, "save_every": 10},
-    "output": {"part": 4096},
+    "output": {"part": 2048},
 }
 
 
@@ -60,13 +60,13 @@ def client():
 )  # of two there are tests below
 def test_bits_do_not_depend_on_workers_or_parts(workers, alone, tmp_path):
     with cluster.local_client(workers) as client:
-        for part in (1000, 4096, 10_000):
+        for part in (500, 2048, 5000):
             folder = tmp_path / str(part)
             given = study(**SHORT | {"output": {"part": part}})
-            lierb.run(given, folder, client=client, gather=part == 1000)
+            lierb.run(given, folder, client=client, gather=part == 500)
             for table in ("summary", "history"):
                 assert bits(folder, table) == bits(alone, table)
-        assert hashes(tmp_path / "4096") == hashes(alone)
+        assert hashes(tmp_path / "2048") == hashes(alone)
 
 
 @pytest.mark.slow
@@ -128,13 +128,13 @@ def killing(client, folder: Path, after: list[int]):
 
 
 @pytest.mark.slow
-def test_killed_workers_cost_their_parts_only(tmp_path):
-    given = study(sample={"n": 20_000}, integrate={"t_end": 0.4}, output={"part": 2048})
+def test_a_killed_worker_costs_its_parts_only(tmp_path):
+    given = study(sample={"n": 8000}, integrate={"t_end": 0.4}, output={"part": 1024})
     lierb.run(given, tmp_path / "alone")
     out = tmp_path / "out"
-    with cluster.local_client(2) as client, killing(client, out, [3, 12]) as killed:
+    with cluster.local_client(2) as client, killing(client, out, [3]) as killed:
         lierb.run(given, out, client=client)
-    assert len(set(killed)) == 2
+    assert len(killed) == 1
     assert hashes(out) == hashes(tmp_path / "alone")
 
 
@@ -223,7 +223,7 @@ def test_workers_that_do_not_see_the_folder_say_so(client, tmp_path):
 
     with pytest.raises(StudyError, match=r"does not see .*--gather"):
         lierb.run(
-            study(**SHORT | {"output": {"part": 500}}), tmp_path, client=client, progress=hide
+            study(**SHORT | {"output": {"part": 250}}), tmp_path, client=client, progress=hide
         )
 
 

@@ -43,8 +43,17 @@ def dataset(given, tmp_path_factory):
     return lierb.run(given, tmp_path_factory.mktemp("figures") / "out")
 
 
+def panels_of(figure) -> list:
+    return [axes for axes in figure.axes if axes.get_visible()]
+
+
 def drawn(dataset, name: str) -> list:
-    return [axes for axes in dataset.plot(name).axes if axes.get_visible()]
+    return panels_of(dataset.plot(name))
+
+
+@pytest.fixture(scope="module")
+def over_time(dataset):
+    return dataset.plot()
 
 
 def words(axes) -> list[str]:
@@ -89,7 +98,7 @@ def test_coordinates_are_labelled_as_the_joint_names_them(given):
 
 
 @pytest.mark.slow
-def test_zeros_are_said_in_words_and_not_drawn(dataset):
+def test_zeros_are_said_in_words_and_not_drawn(dataset, over_time):
     """An exact joint, as on SE(3), does not extend an axis to 1e-18."""
     shares, ridges = drawn(dataset, "distribution")[:2]
     assert shares.get_xlim()[0] > 1e-17
@@ -97,7 +106,7 @@ def test_zeros_are_said_in_words_and_not_drawn(dataset):
     assert sum(line.endswith("exactly 0") for line in told) == 2  # two dt
     assert words(ridges).count("exactly 0") == 2
     assert len(shares.lines) == 2
-    assert len(drawn(dataset, "time")[0].lines) == 4  # median and largest, of SO(3)×ℝ³
+    assert len(panels_of(over_time)[0].lines) == 4  # median and largest, of SO(3)×ℝ³
 
 
 def test_the_legend_tells_what_an_outline_is(dataset):
@@ -192,7 +201,7 @@ def test_columns_that_nobody_knows_are_drawn_with_their_units(given, tmp_path):
 
 
 @pytest.mark.slow
-def test_figures_over_time_read_a_few_times_at_once(dataset, given, monkeypatch):
+def test_figures_over_time_read_a_few_times_at_once(dataset, given, over_time, monkeypatch):
     """A history may be larger than the memory."""
     sizes = []
 
@@ -200,22 +209,21 @@ def test_figures_over_time_read_a_few_times_at_once(dataset, given, monkeypatch)
         sizes.append(len(column))
         return as_array(column)
 
-    def heights() -> list[np.ndarray]:
-        return [line.get_ydata() for axes in drawn(dataset, "time") for line in axes.lines]
+    def heights(axes: list) -> list[np.ndarray]:
+        return [line.get_ydata() for each in axes for line in each.lines]
 
-    whole = heights()
     monkeypatch.setattr(statistics, "as_array", counted)
     monkeypatch.setattr(statistics, "MOST_NUMBERS", 2 * given.sample.n)
-    for found, wanted in zip(heights(), whole, strict=True):
-        np.testing.assert_array_equal(found, wanted)
+    found, whole = heights(drawn(dataset, "time")), heights(panels_of(over_time))
+    for some, wanted in zip(found, whole, strict=True):
+        np.testing.assert_array_equal(some, wanted)
     assert 0 < max(sizes) <= 2 * given.sample.n
 
 
 @pytest.mark.slow
-def test_dataset_plot_names_its_figures(dataset):
-    figure = dataset.plot()
-    assert isinstance(figure, Figure)
-    assert "errors over time" in figure.get_suptitle()
+def test_dataset_plot_names_its_figures(dataset, over_time):
+    assert isinstance(over_time, Figure)
+    assert "errors over time" in over_time.get_suptitle()
     with pytest.raises(UnknownNameError, match="choose from distribution, time, order, parameters"):
         dataset.plot("recorded")
 

@@ -181,7 +181,12 @@ def test_force_moves_the_body_as_newton_and_euler_say(name, cspace):
     ("held", "acting"),
     [
         ("revolute", tuple(FORCES)),
-        ("universal", tuple(name for name in FORCES if name not in AXIAL)),
+        # test_gain_reduced_and_saddle_agree_under_forces has a saddle point
+        pytest.param(
+            "universal",
+            tuple(name for name in FORCES if name not in AXIAL),
+            marks=pytest.mark.long,
+        ),
     ],
 )
 def test_forces_add_up(held, acting, cspace):
@@ -340,18 +345,19 @@ def test_energy_drift_falls_with_the_order_of_the_method():
         assert abs(runs[1]["work_final"][body].as_py() - gained) < 20 * fine.max()
 
 
+@lierb.wrench(stiffness=20.0, damping=0.0)
+def strut(t, R, r, omega, v, params):
+    """A spring and a damper in one wrench, of which the potential is the spring's alone."""
+    return (0.0, 0.0, 0.0), -params.stiffness * R.T @ r - params.damping * v
+
+
+@strut.potential
+def stretched(R, r, params):
+    return params.stiffness * (r @ r) / 2
+
+
 @pytest.mark.slow
 def test_work_of_a_function_is_what_its_potential_lacks():
-    """A spring and a damper in one wrench, of which the potential is the spring's alone."""
-
-    @lierb.wrench(stiffness=20.0, damping=0.0)
-    def strut(t, R, r, omega, v, params):
-        return (0.0, 0.0, 0.0), -params.stiffness * R.T @ r - params.damping * v
-
-    @strut.potential
-    def stretched(R, r, params):
-        return params.stiffness * (r @ r) / 2
-
     stiffness, damping, speed = 20.0, np.array((0.0, 1.5)), 3.0
     body, held = lierb.Body(MASS, (MOMENT,) * 3), lierb.joints.free()
     problem = lierb.Problem(body, held, forces=strut(damping=damping))
@@ -540,24 +546,15 @@ def test_energy_says_what_it_covers():
 
 @pytest.mark.slow
 def test_potential_of_a_function_counts_in_the_energy():
-    @lierb.wrench(stiffness=10.0)
-    def tether(t, R, r, omega, v, params):
-        return (0.0, 0.0, 0.0), -params.stiffness * R.T @ r
-
-    @tether.potential
-    def stretched(R, r, params):
-        return params.stiffness * (r @ r) / 2
-
-    held = lierb.joints.spherical(body_point=(0.1, 0.2, 0.3))
-    problem = lierb.Problem(box(), held, GRAVITY, tether())
-    twist0 = held.twist(omega=(1.0, 2.0, 3.0))
-    summary = lierb.integrate(problem, twist0=twist0, dt=1e-3, t_end=0.5, method="DOP853").summary
-    # DOP853's error at 1e-3 is below rounding; energies are about 5 J
+    problem = lierb.Problem(box(), lierb.joints.free(), GRAVITY, strut())
+    twist0 = (1.0, 2.0, 3.0, 0.5, -0.3, 0.2)
+    summary = lierb.integrate(problem, twist0=twist0, dt=1e-4, t_end=0.5).summary
+    # RK4's error at 1e-4 is below rounding; energies are about 5 J
     assert summary["energy_drift_max"][0].as_py() < 1e-12
     covers = summary.schema.field("energy_drift_max").metadata[b"covers"].decode()
     assert covers == (
-        "kinetic energy; potential energy of gravity, tether; "
-        "less the work of tether beyond its potential"
+        "kinetic energy; potential energy of gravity, strut; "
+        "less the work of strut beyond its potential"
     )
 
 

@@ -214,11 +214,11 @@ def test_page_says_how_to_do_it_again(dataset, text):
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("blank_pictures")
-@pytest.mark.filterwarnings("ignore::lierb.errors.StiffStepWarning")  # of such a spring
+@pytest.mark.filterwarnings("ignore::lierb.errors.StiffStepWarning")  # of such a drag
 def test_unfinished_and_failed_bodies_are_told(tmp_path):
     """The last setting has no finished part, and no setting has a history of zeros."""
-    spring = {"type": "spring_damper", "body_point": [0.1, 0.0, 0.0], "stiffness": 1e9}
-    given = study(problem={"forces": [spring, {"type": "drag"}]}, integrate={"save_every": 10})
+    drag = {"linear": {"distribution": "uniform", "low": 1e7, "high": 1e9}}
+    given = study(sample={"forces": {"drag": drag}}, integrate={"save_every": 10})
     with pytest.warns(FailedTrajectoryWarning):
         done = lierb.run(given, tmp_path / "out")
     last = [name for name in done.parts if name.startswith("03-")]
@@ -334,18 +334,19 @@ def test_a_study_without_samples_has_a_page(tmp_path):
 @pytest.mark.slow
 @pytest.mark.usefixtures("blank_pictures")
 def test_commands(tmp_path):
-    one = TEXT.replace("n = 50", "n = 3").replace("[1e-3, 2e-3]", "2e-3")
+    one = TEXT.replace("n = 50", "n = 3").replace("[1e-3, 2e-3]", "2e-3\nsave_every = 10")
     (tmp_path / "study.toml").write_text(one.replace('["SE3", "SO3xR3"]', '"SO3xR3"'))
     out = tmp_path / "out"
     result = CliRunner().invoke(
         cli, ["run", str(tmp_path / "study.toml"), "--out", str(out), "--report"]
     )
     assert result.exit_code == 0, result.output
-    (out / "report.html").unlink()  # FileNotFoundError if there is none
+    page = (out / "report.html").read_text(encoding="utf-8")
+    (out / "report.html").unlink()
     result = CliRunner().invoke(cli, ["report", str(out)])
     assert result.exit_code == 0, result.output
     assert str(out / "report.html") in result.output
-    assert (out / "report.html").exists()
+    assert (out / "report.html").read_text(encoding="utf-8") == page  # of what is on the disk
     result = CliRunner().invoke(cli, ["report", str(tmp_path)])
     assert result.exit_code == 1
     assert "holds no results" in result.output
@@ -367,7 +368,7 @@ def test_a_browser_without_a_network_draws_it(text, tmp_path):
     assert "updatemenu-header" in shown
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.usefixtures("blank_pictures")
 def test_read_from_the_disk_it_is_the_same_page(dataset, tmp_path):
     again = Dataset(dataset.folder)

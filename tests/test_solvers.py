@@ -8,7 +8,16 @@ from functools import cache
 import numpy as np
 import pyarrow.compute as pc
 import pytest
-from cases import GRAVITY, SUBGROUP_JOINTS, column, integrate, long_but, slow_but, tilted
+from cases import (
+    COMPOSED,
+    GRAVITY,
+    SUBGROUP_JOINTS,
+    column,
+    integrate,
+    long_but,
+    slow_but,
+    tilted,
+)
 
 import lierb
 from lierb.errors import FailedTrajectoryWarning
@@ -30,8 +39,9 @@ def _history(name: str, update: str, solver: str) -> lierb.Result:
     )
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", JOINTS)
+@pytest.mark.parametrize(
+    "name", long_but(JOINTS, *(name for name in JOINTS if name not in COMPOSED))
+)
 def test_a_constant_gain_makes_the_saddle_points_motion(name):
     slow, fast = _history(name, "local", "saddle"), _history(name, "local", "gain")
     # 1000 steps of rounding in another order; the forces reach 100 N
@@ -71,9 +81,9 @@ def _state(result: lierb.Result) -> np.ndarray:
     ("name", "solver", "update"),
     [  # every pair of values
         ("spherical", "gain", "local"),
-        ("spherical", "reduced", "global"),
+        pytest.param("spherical", "reduced", "global", marks=pytest.mark.long),
         ("screw", "gain", "global"),
-        ("screw", "reduced", "local"),
+        pytest.param("screw", "reduced", "local", marks=pytest.mark.long),
     ],
 )
 def test_bits_do_not_depend_on_lanes_batch_or_chunks(name, solver, update, monkeypatch):

@@ -119,15 +119,17 @@ def fit(
     >>> import lierb
     >>> hinge = lierb.joints.revolute(axis=(0.0, 1.0, 0.0), body_point=(0.0, 0.0, 0.15))
     >>> rod = lierb.bodies.rod(0.3, 0.01, mass=0.2)
-    >>> def pendulum(damping):
-    ...     friction = lierb.forces.torsional_spring(damping=damping)
-    ...     return lierb.Problem(rod, hinge, (0.0, 0.0, -9.81), friction)
+    >>> def pendulum(stiffness, damping):
+    ...     spring = lierb.forces.torsional_spring(stiffness=stiffness, damping=damping)
+    ...     return lierb.Problem(rod, hinge, (0.0, 0.0, -9.81), spring)
     >>> run = {"twist0": hinge.twist(omega=(0.0, 3.0, 0.0)), "dt": 1e-2}
-    >>> measured = lierb.integrate(pendulum(2e-3), **run, t_end=2.0, save_every=10, record="state")
+    >>> saved = {"save_at": [0.5, 1.0, 1.5, 2.0], "record": "state"}
+    >>> measured = lierb.integrate(pendulum(0.1, 2e-3), **run, t_end=2.0, **saved)
     >>> data = {"t": measured.t, "omega": measured.omega}
-    >>> fitted = lierb.fit(pendulum(1e-3), data, "torsional_spring.damping", **run)
-    >>> fitted.estimate["torsional_spring.damping"].round(9).tolist()
-    [0.002]
+    >>> unknown = ["torsional_spring.stiffness", "torsional_spring.damping"]
+    >>> fitted = lierb.fit(pendulum(0.15, 1e-3), data, unknown, **run)
+    >>> {name: x.round(9).tolist() for name, x in fitted.estimate.items()}
+    {'torsional_spring.stiffness': [0.1], 'torsional_spring.damping': [0.002]}
     """
     require("scipy")
     model = checked_model(problem)

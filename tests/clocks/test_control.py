@@ -39,7 +39,8 @@ def pid(R, omega, params, memory):
 def noisy_pd(R, omega, params):
     error = 0.5 * np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
     gyro = 1e-3 * lierb.noise.normal("gyro", 3)
-    return {"torque": -(params.kp * error + params.kd * (omega + gyro)), "gyro": gyro}
+    torque = -(params.kp * error + params.kd * (omega + gyro))
+    return {"torque": torque, "gyro": gyro, "idle": lierb.noise.normal("idle")}
 
 
 @lierb.wrench
@@ -159,9 +160,20 @@ def counter(t, memory):
     return {"ticks": memory.count + 1.0, "stamped": t}, {"count": memory.count + 1.0}
 
 
+@lierb.event(terminal=True, at=1e9)
+def alarm(t, params):
+    return t - params.at
+
+
+@lierb.event(value=0.9)
+def passes(R, params):
+    return R[1, 0] - params.value
+
+
 def counted(controller, count, t_end):
-    problem, start = spinning([1.0] * count, controllers=[controller])
-    return lierb.integrate(problem, **start, t_end=t_end, rtol=1e-6, method="DP54").summary
+    """Events in every run, so that all share a kernel."""
+    problem, start = spinning([1.0] * count, controllers=[controller], events=[passes(), alarm()])
+    return lierb.integrate(problem, **start, t_end=t_end, dt=0.05).summary
 
 
 @pytest.mark.slow
@@ -184,16 +196,6 @@ def test_ticks_do_not_drift():
 
 
 # ---- ticks, rows, events and ends at one time --------------------------------------------------
-
-
-@lierb.event(terminal=True, at=1e9)
-def alarm(t, params):
-    return t - params.at
-
-
-@lierb.event(value=0.9)
-def passes(R, params):
-    return R[1, 0] - params.value
 
 
 def ball(start=None, every=0.3, at=1e9, **options):
@@ -265,14 +267,8 @@ def test_a_run_broken_at_a_tick_has_the_bits_of_one_run(cut):
 @pytest.mark.slow
 def test_steps_reach_a_tick_that_is_nearly_a_whole_number_of_them_away():
     """Periods are compared relative to their length: 0.1 ns in 50 ms is no rounding."""
-
-    @lierb.states(clock=0.0)
-    def runs():
-        return {"clock": 1.0}
-
-    problem, start = spinning([1.0], controllers=[counter(every=0.05 * (1 + 1e-10))], states=runs())
-    summary = lierb.integrate(problem, **start, dt=0.05, t_end=50.0).summary
-    assert column(summary, "clock")[0] == pytest.approx(50.0, abs=1e-11)
+    result = ball(every=0.05 * (1 + 1e-10), dt=0.05, t_end=50.0)
+    assert turned_by(result) == pytest.approx(50.0 - 16.0 * np.pi, abs=1e-11)  # at 1 rad/s
 
 
 @lierb.observable
@@ -368,18 +364,12 @@ def test_noisy_run_is_the_loop_by_hand_with_its_noise():
     np.testing.assert_allclose(column(result.summary, "omega"), w, atol=1e-14)
 
 
-@lierb.controller(every=0.01)
-def draws():
-    return {"one": lierb.noise.normal("one"), "many": lierb.noise.normal("many", 3)}
-
-
 @pytest.fixture(scope="module")
 def drawn():
-    """(ticks, trajectories, 4) draws: one, many (3)."""
-    problem, start = spinning(np.ones(200), controllers=[draws()])
-    times = (np.arange(100) + 0.5) * 0.01
-    found = lierb.integrate(problem, **start, dt=0.01, t_end=1.0, save_at=times, seed=5).history
-    parts = [rows_of(found, "one")[:, None], rows_of(found, "many")]
+    """(ticks, trajectories, 4) draws: one, three of another name."""
+    times = (np.arange(100) + 0.5) * EVERY
+    found = noisy(count=200, t_end=100 * EVERY, save_at=times, seed=5).history
+    parts = [rows_of(found, "idle")[:, None], 1e3 * rows_of(found, "gyro")]
     return np.concatenate(parts, axis=1).reshape(100, 200, 4)
 
 

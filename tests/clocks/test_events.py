@@ -3,7 +3,7 @@
 import mpmath
 import numpy as np
 import pytest
-from cases import long_but, slow_but
+from cases import long_but, slow_but, tiered
 
 import lierb
 from clocks.shared import G, rows_of, spinning, table_bits, thrown
@@ -244,10 +244,8 @@ def test_a_level_that_is_just_missed_is_not_crossed():
 # ---- pendulum ----------------------------------------------------------------------------------
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    "clock", [{"rtol": 1e-13}, pytest.param({"dt": 2e-3}, marks=pytest.mark.long)], ids=str
-)
+@pytest.mark.long
+@pytest.mark.parametrize("clock", [{"rtol": 1e-13}, {"dt": 2e-3}], ids=str)
 def test_pendulum_swings_through_when_jacobi_says(clock):
     """Released from rest at 90°: at the bottom after K/w, 3K/w, …; at rest again after 2K/w."""
     m, length, inertia = 1.2, 0.7, 0.05
@@ -305,11 +303,12 @@ def test_an_event_on_a_link_of_a_mechanism():
         gravity=(0.0, 0.0, -G), events=[below().on("rod")],
     )  # fmt: skip
     pose0 = made.pose({"rod": np.pi / 2})
-    result = lierb.integrate(made, pose0=pose0, twist0=made.twist({}, pose0), t_end=1.0, rtol=1e-13)
+    result = lierb.integrate(made, pose0=pose0, twist0=made.twist({}, pose0), t_end=4.0, rtol=1e-13)
     inertia = rod.inertia[1, 1] + 0.25**2
     w = mpmath.sqrt(mpmath.mpf(G) * 0.25 / inertia)
     quarter = float(mpmath.ellipk(mpmath.mpf(1) / 2) / w)
-    np.testing.assert_allclose(seen(result)[0], quarter, rtol=0, atol=EXACT)
+    through = np.arange(1, 20, 2) * quarter  # released from rest at 90°
+    np.testing.assert_allclose(seen(result), through[through < 4.0], rtol=0, atol=EXACT)
     assert "rod.position" in result.events.column_names
 
 
@@ -362,7 +361,7 @@ def visits(within=1.0, zero=-1.0, first=1.0, last=1.0, **clock):
     events = [aimed(angle=angles, within=within), undefined(zero=zero, first=first, last=last)]
     problem, start = spinning(np.full(COUNT, RATE), events=events)
     clock = {"rtol": 1e-6} | clock
-    return angles, lierb.integrate(problem, **start, t_end=1.0, method="DOP853", **clock)
+    return angles, lierb.integrate(problem, **start, t_end=1.0, method="DP54", **clock)
 
 
 @pytest.mark.slow
@@ -410,8 +409,9 @@ def test_a_condition_is_refused():
 
 
 @pytest.mark.parametrize(
-    "clock", slow_but([{"rtol": 1e-6}, {"rtol": None, "dt": 0.5}], {"rtol": 1e-6}), ids=str
-)
+    "clock", slow_but([{"rtol": 1e-6}, {"rtol": None, "dt": 0.5, "method": "RK4"}], {"rtol": 1e-6}),
+    ids=str,
+)  # fmt: skip
 def test_what_starts_at_zero_to_rounding_lands_when_it_comes_back(clock):
     """Within the first quarter of the first step."""
     heights = np.array([0.0, 1e-13, -1e-13, 1e-12])
@@ -454,7 +454,7 @@ def bounced(result, restitution) -> dict:
 @pytest.mark.parametrize("direction", [-1, 0])
 @pytest.mark.parametrize(
     "clock",
-    slow_but(
+    tiered(
         [
             {"method": "DP54", "rtol": 1e-6},
             {"method": "RK4", "dt": 1e-3},
@@ -462,7 +462,8 @@ def bounced(result, restitution) -> dict:
             {"method": "Heun", "dt": 0.01},
             {"method": "CF4", "dt": 0.01},
         ],
-        {"method": "DP54", "rtol": 1e-6},
+        [{"method": "DP54", "rtol": 1e-6}],
+        [{"method": "RK4", "dt": 1e-3}, {"method": "RK4", "dt": 0.1}],
     ),
     ids=str,
 )  # fmt: skip
@@ -507,7 +508,10 @@ def test_what_rests_on_zero_and_falls_ends_at_once(clock):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("clock", [{"rtol": 1e-6, "dt_max": 0.1}, {"dt": 0.05}], ids=str)
+@pytest.mark.parametrize(
+    "clock", [{"rtol": 1e-6, "dt_max": 0.1}, pytest.param({"dt": 0.05}, marks=pytest.mark.long)],
+    ids=str,
+)  # fmt: skip
 def test_what_passes_zero_at_its_start_goes_on(clock):
     """sin ωt passes zero at t = 0; a turn later it does so again, in the same direction."""
     ends = lierb.event(sine=0.0, terminal=True, direction=-1)(turned_by)

@@ -15,12 +15,27 @@ def low_pass(omega, states, params):
     return {"filtered": (omega[2] - states.filtered) / params.tau}
 
 
+@lierb.event
+def half(states):
+    return states.filtered - 0.5
+
+
+@lierb.observable(unit="rad/s")
+def lag(t, R, r, omega, v, params, states):
+    return omega[2] - states.filtered
+
+
+def filtering(rates, **given) -> tuple:
+    """Balls with a filter, an event and an observable in every run, so that all share a kernel."""
+    return spinning(rates, states=[low_pass(**given)], events=[half()], observables=[lag()])
+
+
 @pytest.mark.parametrize("clock", long_but(CLOCKS, CLOCKS[0]), ids=str)
 def test_a_first_order_filter_settles_as_an_exponential(clock):
     """ω₃ is constant: filtered = ω₃ + (f₀ − ω₃) exp(−t/τ). Errors below 100 rtol, or dt⁴."""
     rates, tau = np.array([1.0, -2.0, 5.0]), np.array([0.5, 0.2, 1.0])
     first = np.array([0.0, 3.0, 5.0])
-    problem, start = spinning(rates, states=[low_pass(tau=tau, filtered=first)])
+    problem, start = filtering(rates, tau=tau, filtered=first)
     result = lierb.integrate(problem, **start, t_end=1.0, save_at=(0.25, 0.5, 1.0), **clock)
     for row, t in enumerate((0.25, 0.5, 1.0)):
         true = rates + (first - rates) * np.exp(-t / tau)
@@ -35,14 +50,14 @@ def test_a_first_order_filter_settles_as_an_exponential(clock):
 @pytest.mark.parametrize("rtol", [1e-4, 1e-7, 1e-10])
 def test_a_states_error_is_within_thirty_times_rtol(rtol):
     """The body asks for no steps at all: the filter does."""
-    problem, start = spinning([4.0], states=[low_pass(tau=0.05)])
+    problem, start = filtering([4.0], tau=0.05)
     result = lierb.integrate(problem, **start, t_end=0.2, rtol=rtol, method="DP54", save_at=(0.2,))
     true = 4.0 * (1 - np.exp(-4.0))
     assert abs(final(result, "filtered") - true) < 30 * rtol * 4.0
 
 
 def test_initial_values_are_those_of_the_decorator_unless_given():
-    problem, start = spinning([4.0], states=[low_pass(tau=0.5)])
+    problem, start = filtering([4.0], tau=0.5)
     result = lierb.integrate(problem, **start, t_end=0.1, rtol=1e-6, save_at=(0.0,), method="DP54")
     assert column(result.history, "filtered").tolist() == [0.0]
 
@@ -105,19 +120,8 @@ def test_columns_carry_names_and_units():
 
 @pytest.mark.slow
 def test_observables_and_events_see_states():
-    @lierb.event
-    def half(states):
-        return states.filtered - 0.5
-
-    @lierb.observable(unit="rad/s")
-    def lag(t, R, r, omega, v, params, states):
-        return omega[2] - states.filtered
-
-    problem, start = spinning([1.0], states=[low_pass(tau=0.5)], events=[half()],
-                              observables=[lag()])  # fmt: skip
-    result = lierb.integrate(
-        problem, **start, t_end=1.0, rtol=1e-13, save_at=(0.3,), method="DOP853"
-    )
+    problem, start = filtering([1.0], tau=0.5)
+    result = lierb.integrate(problem, **start, t_end=1.0, rtol=1e-13, save_at=(0.3,), method="DP54")
     # f = 1 − exp(−t/τ) is a half at τ ln 2
     np.testing.assert_allclose(rows_of(result.events, "t"), [0.5 * np.log(2.0)], atol=1e-12)
     np.testing.assert_allclose(rows_of(result.history, "lag"), [np.exp(-0.6)], atol=1e-12)

@@ -113,7 +113,9 @@ def test_integrate_meets_every_stop(kind, method):
                 assert np.abs(off).max() < allowed(kind, rtol)
 
 
-@pytest.mark.parametrize(("method", "most"), [("DOP853", 240), ("Rodas4", 1000)])
+@pytest.mark.parametrize(
+    ("method", "most"), [("DOP853", 240), pytest.param("Rodas4", 1000, marks=pytest.mark.long)]
+)
 def test_stops_are_met_without_a_search(method, most):
     """A wheel that a torque pulls to a stop meets 20 kinks in 10 s.
 

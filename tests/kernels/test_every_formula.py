@@ -42,7 +42,8 @@ from lierb.kernels.stepping.clock import TIDY_EVERY
 from lierb.kernels.tracing.lanes import DOUBLE, Lane, Trace
 
 ROOT = Path(__file__).parents[2]
-LANES = (1, 8)  # numbers, and packs of them; more widths add no code
+# Packs of numbers, and numbers alone; more widths add no code.
+LANES = (8, pytest.param(1, marks=pytest.mark.long))
 MOST = 6  # samples of one formula
 CALLS = 12  # of a formula in one run, that are looked at
 STEP = mp.mpf(10) ** -20
@@ -176,9 +177,11 @@ in_python = pytest.mark.skipif(not config.DISABLE_JIT, reason="run below, with t
 
 @pytest.mark.slow
 @pytest.mark.skipif(bool(config.DISABLE_JIT), reason="run directly")
-def test_every_formula_with_the_jit_off(tmp_path):
+@pytest.mark.parametrize("which", ["not long", pytest.param("long", marks=pytest.mark.long)])
+def test_every_formula_with_the_jit_off(tmp_path, which):
     environment = {**os.environ, "NUMBA_DISABLE_JIT": "1", "NUMBA_CACHE_DIR": str(tmp_path)}
-    command = [sys.executable, "-m", "pytest", "-q", "-n", "0", "-p", "no:cacheprovider", __file__]
+    options = ["-q", "-n", "0", "-p", "no:cacheprovider", "-m", which]
+    command = [sys.executable, "-m", "pytest", *options, __file__]
     run = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True)
     assert run.returncode == 0, run.stdout[-5000:] + run.stderr[-1000:]
 
@@ -546,6 +549,11 @@ def points(name):
 
 
 @cache
+def duals(name):
+    return [by_duals(name, given) for given in points(name)]
+
+
+@cache
 def exact(name):
     return [by_differences(name, given) for given in points(name)]
 
@@ -564,8 +572,7 @@ def test_every_formula_is_gone_through():
 @in_python
 @pytest.mark.parametrize("name", NAMES)
 def test_formula_on_duals_is_differentiated(name):
-    for given, (values, slopes) in zip(points(name), exact(name)):
-        found = by_duals(name, given)
+    for found, (values, slopes) in zip(duals(name), exact(name)):
         if found.size:
             # a few roundings, in the worst conditioned
             assert errors(found[0], values) <= 1e-12
@@ -575,8 +582,9 @@ def test_formula_on_duals_is_differentiated(name):
 @in_python
 @pytest.mark.parametrize("name", NAMES)
 def test_values_of_duals_have_the_bits_of_plain_numbers(name):
-    for given in [*recorded().get(name, ()), *points(name)]:
-        found = by_duals(name, given)
+    samples = recorded().get(name, ())
+    given_and_found = [*zip(samples, (by_duals(name, given) for given in samples))]
+    for given, found in [*given_and_found, *zip(points(name), duals(name))]:
         if found.size:
             np.testing.assert_array_equal(found[0], [float(x) for x in evaluated(name, given)])
 

@@ -50,7 +50,7 @@ def turns(name: str = "turned", *, start: ArrayLike = 0.0) -> ExtraStates:
     ...     forces=lierb.forces.torsional_spring(stiffness=1e-3, damping=1e-3, turns="turned"),
     ...     states=lierb.turns(start=20.0 * np.pi),
     ... )
-    >>> result = lierb.integrate(barrel, twist0=np.zeros(6), rtol=1e-9, t_end=1.0)
+    >>> result = lierb.integrate(barrel, twist0=np.zeros(6), dt=1e-2, t_end=1.0)
     >>> np.round(result.summary["turned"].to_numpy() / (2.0 * np.pi), 2).tolist()  # of ten turns
     [3.68]
     """
