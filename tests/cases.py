@@ -53,7 +53,9 @@ def tiered(names, quick, slow) -> list:
 
 # A row is the same formula in both c-spaces: ONCE run in one, and in both those that other tests
 # compile for both; COMPOSED with -m long alone.
-ONCE = ("fixed", "hook", "point_on_line", "point_on_plane")
+ONCE = (
+    "fixed", "hook", "point_on_line", "point_on_plane", "point_on_sphere", "constant_velocity",
+)  # fmt: skip
 COMPOSED = (
     "planar_translation", "translation", "helical_planar", "schoenflies", "pin_in_slot_body",
 )  # fmt: skip

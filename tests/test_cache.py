@@ -363,14 +363,19 @@ def push(scale=1.0, twice="2.0 * x", branch="pass"):
         pytest.param("if v[0] > 100.0: t = 0.0", id="bodies"),
     ],
 )
-def test_function_of_the_user_comes_from_the_cache_until_it_is_edited(copy, branch):
+@pytest.mark.parametrize(
+    ("change", "v"),
+    [
+        pytest.param({"twice": "3.0 * x"}, [2.0, 6.0, 0.0], id="helper"),
+        pytest.param({"scale": 2.0}, [4.0, 4.0, 0.0], id="global", marks=pytest.mark.long),
+    ],
+)
+def test_function_of_the_user_comes_from_the_cache_until_it_is_edited(copy, branch, change, v):
     quiet = {"PYTHONWARNINGS": "ignore"}  # of one that runs body by body
     first = copy.run(push(branch=branch), **quiet)
     assert (first["compiled"], first["loaded"], first["v"]) == (1, 0, [2.0, 4.0, 0.0])
-    edited = copy.run(push(branch=branch, twice="3.0 * x"), **quiet)
-    assert (edited["compiled"], edited["v"]) == (1, [2.0, 6.0, 0.0])
-    rescaled = copy.run(push(branch=branch, scale=2.0), **quiet)
-    assert (rescaled["compiled"], rescaled["v"]) == (1, [4.0, 4.0, 0.0])
+    edited = copy.run(push(branch=branch, **change), **quiet)
+    assert (edited["compiled"], edited["v"]) == (1, v)
     back = copy.run(push(branch=branch), **quiet)
     assert (back["compiled"], back["loaded"], back["v"]) == (0, 1, [2.0, 4.0, 0.0])
     assert not needed_packages(copy.folder / "cache") - OWN

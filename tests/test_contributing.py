@@ -86,7 +86,7 @@ def copy(tmp_path_factory):
     root = tmp_path_factory.mktemp("checkout")
     for folder in ("lierb", "tests", "docs", "examples", "bench"):
         stored = ("results",) if folder == "bench" else ()  # lierb/results is a part of the package
-        left_out = shutil.ignore_patterns("__pycache__", "_build", *stored)
+        left_out = shutil.ignore_patterns("*.nbi", "*.nbc", "_build", *stored)
         shutil.copytree(ROOT / folder, root / folder, ignore=left_out)
     shutil.copy(ROOT / "pyproject.toml", root)
     for file, before, after in hunks(PAGE.read_text(encoding="utf-8")):

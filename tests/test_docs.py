@@ -34,7 +34,7 @@ KERNELS = (
     "from_mujoco",
     "install",
 )  # have some of their own
-LONG = ("derivatives", "fitting")  # have many
+LONG = ("derivatives", "fitting", "forces")  # have many
 QUICK = [page for page in PAGES if page.stem not in KERNELS]
 SLOW_PAGES = [page for page in PAGES if page.stem not in LONG]
 

@@ -18,7 +18,6 @@ from cases import (
     integrate,
     joint,
     long_but,
-    slow_but,
     tiered,
     tilted,
 )
@@ -83,7 +82,7 @@ LEFT = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("name", slow_but(LEFT, "spherical"))
+@pytest.mark.parametrize("name", tiered(LEFT, ["spherical"], {*LEFT} - {*COMPOSED}))
 def test_what_rounding_leaves_is_luck_and_little(name):
     """Over random frames, as docs/theory.md has it: some frames are ten times as good as others."""
     count = 128

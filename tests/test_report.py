@@ -291,6 +291,7 @@ def test_figures_of_hard_cases_are_drawn_or_say_why(hard):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("blank_pictures")
 def test_pages_of_hard_cases_are_whole(hard, tmp_path):
     name, dataset = hard
     result = CliRunner().invoke(cli, ["plot", str(dataset.folder)])
