@@ -36,7 +36,7 @@ check-docs:  ## build the site, follow README and CONTRIBUTING, in a clone with 
 	git clone --quiet . results/clone
 	$(MAKE) -C results/clone VENV=.venv docs
 	$(MAKE) -C results/clone VENV=.venv dist
-	$(MAKE) -C results/clone VENV=.venv test ARGS="tests/test_contributing.py tests/test_docs.py tests/test_site.py"
+	$(MAKE) -C results/clone VENV=.venv test ARGS="-m 'long or not long' tests/test_contributing.py tests/test_docs.py tests/test_site.py"
 
 picture: $(VENV)/.docs  ## draw the picture of the front page again
 	$(BIN)/python docs/gallery/heavy_top.py docs/_static/heavy_top.png
