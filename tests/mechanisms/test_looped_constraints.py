@@ -108,7 +108,17 @@ def windows(count):
 # ---- the same motion and the same forces -------------------------------------------------------
 
 
+# In the default tests usual loops have Baumgarte's terms, motors and constraints projection: each
+# is a kernel of its own, and one without either shows nothing that these do not.
+KEPT = lierb.baumgarte(5.0, 4.0)
+
+
 @pytest.mark.slow
+@pytest.mark.parametrize(
+    "stabilise",
+    [KEPT, pytest.param(None, marks=pytest.mark.long)],
+    ids=["Baumgarte", "drifting"],
+)
 @pytest.mark.parametrize(
     "case",
     [
@@ -117,15 +127,15 @@ def windows(count):
     ],
     ids=["redundant four-bar", "slider-crank", "rssr", "pinned", "pinned twice", "three windows"],
 )  # fmt: skip
-def test_loops_move_and_react_as_by_unrolled_formulas(case):
-    agree(*case())
+def test_loops_move_and_react_as_by_unrolled_formulas(case, stabilise):
+    agree(*case(), stabilise=stabilise)
 
 
 @pytest.mark.slow
 def test_mechanisms_with_usual_loops_share_their_code():
-    looped(*shape("four_bar"), **RECORDED)
+    looped(*shape("four_bar"), **RECORDED, stabilise=KEPT)
     before = kernels_loaded()
-    looped(*chain(8), **RECORDED)
+    looped(*chain(8), **RECORDED, stabilise=KEPT)
     assert kernels_loaded() == before
 
 
@@ -165,8 +175,13 @@ def driven():
 
 
 @pytest.mark.slow
-def test_motors_constraints_and_forces_in_loops_act_as_by_unrolled_formulas():
-    agree(*driven(), stabilise=lierb.baumgarte(5.0, 4.0))
+@pytest.mark.parametrize(
+    "stabilise",
+    ["project", pytest.param(KEPT, marks=pytest.mark.long)],
+    ids=["projected", "Baumgarte"],
+)
+def test_motors_constraints_and_forces_in_loops_act_as_by_unrolled_formulas(stabilise):
+    agree(*driven(), stabilise=stabilise)
 
 
 # ---- the number of dependent rows --------------------------------------------------------------
@@ -272,11 +287,12 @@ def test_a_run_goes_on_with_the_rank_of_its_start():
 @pytest.mark.slow
 def test_a_trajectory_that_fails_leaves_the_others_alone():
     mechanism, start = shape("four_bar")
-    expected = bits(looped(mechanism, start))
+    options = RECORDED | {"stabilise": KEPT}
+    expected = bits(looped(mechanism, start, **options))
     for twists in start["twist0"].values():
         twists[2] *= 1e120
     with pytest.warns(FailedTrajectoryWarning):
-        result = looped(mechanism, start)
+        result = looped(mechanism, start, **options)
     fine = [0, 1, 3]
     assert result.summary["status"].to_pylist()[2] != "ok"
     np.testing.assert_array_equal(bits(result)[fine], expected[fine])
@@ -285,7 +301,7 @@ def test_a_trajectory_that_fails_leaves_the_others_alone():
 # ---- a closed form -----------------------------------------------------------------------------
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_forty_windows_move_as_one_pendulum():
     """A02 of the IFToMM library (`benchmarks.a02`) with N = 40: 81 links, 40 loops, 20 s.
 

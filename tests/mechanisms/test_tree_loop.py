@@ -269,7 +269,7 @@ def test_bits_of_adaptive_steps_depend_on_nothing_else(monkeypatch):
     np.testing.assert_array_equal(bits(looped(mechanism, start, **ADAPTIVE)), expected)
 
 
-@pytest.mark.slow
+@pytest.mark.long  # test_looped_elements.py has rows beside other rows
 def test_rows_between_steps_change_no_bit():
     mechanism = tree_of(SIX)
     start = start_of(mechanism, 11, speed=5.0)
