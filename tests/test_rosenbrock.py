@@ -146,7 +146,7 @@ def test_elimination_without_pivots_is_backward_stable_for_mechanical_systems():
 # ---- order, in plain Python: nothing is compiled -----------------------------------------------
 
 T_END = 0.5
-STEPS = {3: 200, 4: 60, 5: 40}
+STEPS = {3: 100, 4: 60, 5: 40}
 
 
 @cache
@@ -175,17 +175,19 @@ def turned(method, steps, h, **form):
     return np.reshape(system.in_user_frames(body, numbers, state)[0][:9], (3, 3)).astype(float)
 
 
+# The form and the method know nothing of each other: one method has each form.
+FORMS = [
+    *((name, "SE3", "subgroup") for name in ROSENBROCK),
+    *((name, *form) for form in (("SE3", "saddle"), ("SO3xR3", "saddle")) for name in ROSENBROCK),
+]
+
+
 @pytest.mark.parametrize(
-    "form",
-    tiered(
-        [("SE3", "subgroup"), ("SE3", "saddle"), ("SO3xR3", "saddle")],
-        [("SE3", "subgroup")],
-        [("SO3xR3", "saddle")],
-    ),
-    ids=str,
+    "form", tiered(FORMS, FORMS[: len(ROSENBROCK)], [("Rodas5P", "SO3xR3", "saddle")]), ids="-".join
 )
-@EVERY
-def test_steps_have_the_order(method, form):
+def test_steps_have_the_order(form):
+    name, *form = form
+    method = METHODS[name]
     steps = STEPS[method.order]
     options = dict(zip(("cspace", "solver"), form, strict=True))
     coarse, fine = (
@@ -263,19 +265,23 @@ def test_friction_that_is_nearly_coulombs_takes_few_steps():
     assert abs(row["omega"][2]) < 1e-9
 
 
+TUMBLING = (1.0, 100.0, 2.0, 0.0, 0.0, 0.0)
+
+
+def dragged(angular):
+    """A tumbling body, whose turns decay within seconds, or within milliseconds of a long run."""
+    body = lierb.Body(1.0, (0.02, 0.03, 0.04))
+    return lierb.Problem(body, lierb.joints.free(), forces=lierb.forces.drag(angular=angular))
+
+
 def test_explicit_run_that_stability_limits_says_so():
-    twist0 = HINGE.twist(omega=(0.0, 0.0, SPEED))
     with pytest.warns(lierb.errors.StiffStepWarning, match="stability, not accuracy, limits"):
-        lierb.integrate(braked(1e-4), twist0=twist0, rtol=1e-6, t_end=2.0)
+        lierb.integrate(dragged(10.0), twist0=TUMBLING, rtol=1e-6, t_end=60.0)
 
 
 @pytest.mark.slow
 def test_explicit_run_that_accuracy_limits_says_nothing(recwarn):
-    """A tumbling body, whose drag decays within seconds."""
-    body = lierb.Body(1.0, (0.02, 0.03, 0.04))
-    problem = lierb.Problem(body, lierb.joints.free(), forces=lierb.forces.drag(angular=0.001))
-    twist0 = (1.0, 100.0, 2.0, 0.0, 0.0, 0.0)
-    result = lierb.integrate(problem, twist0=twist0, rtol=1e-9, t_end=60.0)
+    result = lierb.integrate(dragged(0.001), twist0=TUMBLING, rtol=1e-9, t_end=60.0)
     assert result.summary["steps"][0].as_py() > 2000
     assert not recwarn.list
 
@@ -335,7 +341,7 @@ GROUPS = (
 )  # fmt: skip
 
 
-@pytest.mark.parametrize("name", tiered(GROUPS, ["screw"], ["planar", "spherical"]))
+@pytest.mark.parametrize("name", tiered(GROUPS, ["screw"], []))
 def test_joints_are_kept_in_coarse_steps(name):
     """By the saddle point on all six coordinates, in steps that turn the box by 0.4 rad."""
     problem, twist0 = tilted(name)
@@ -381,10 +387,10 @@ TWIST = np.array((1.0, 2.0, 3.0, 0.4, 0.2, 0.3))
     ],
 )
 def test_functions_of_time_and_states_events_and_output_between_steps(method):
-    """Beside DOP853 at 1e-11, whose steps are independent: rows, states, work, crossings."""
+    """Beside RK4's steps of 0.5 ms: rows, states, work, crossings."""
     times = [0.1, 0.45, 0.8]
     options = {"twist0": TWIST, "t_end": 1.0, "save_at": times, "record": ("state", "energy")}
-    truth = lierb.integrate(flight(), rtol=1e-11, **options)
+    truth = lierb.integrate(flight(), dt=5e-4, method="RK4", **options)
     result = lierb.integrate(flight(), rtol=1e-8, method=method, **options)
     for name in ("rotation", "position", "omega", "v", "s", "work"):
         found, expected = (np.array(each.history[name].to_pylist()) for each in (result, truth))
@@ -413,13 +419,14 @@ def test_mechanism_with_a_loop_agrees_with_an_explicit_method():
 
 @pytest.mark.slow
 def test_numbers_of_a_trajectory_do_not_depend_on_its_neighbours():
-    problem, _ = tilted("spherical")
-    rng = np.random.default_rng(3)
-    twists = problem.joint.twist(omega=rng.uniform(-5.0, 5.0, (40, 3)))
-    options = {"rtol": 1e-6, "t_end": 0.3, "method": "Rodas4"}
+    problem, pose, _ = hung()
+    omega = np.random.default_rng(3).uniform(-5.0, 5.0, (40, 3))
+    twists = np.concatenate([omega, np.cross(omega, -POINT)], axis=1)
+    options = {"pose0": pose, "rtol": 1e-6, "t_end": 0.1, "method": "Rodas4"}
     together = lierb.integrate(problem, twist0=twists, **options).summary
     alone = lierb.integrate(problem, twist0=twists[17], **options).summary
     turned = lierb.integrate(problem, twist0=twists[::-1], threads=2, **options).summary
+    assert len(set(together["steps"].to_pylist())) > 1
     for name in ("rotation", "omega", "steps", "energy_drift_max"):
         assert together[name][17] == alone[name][0] == turned[name][22]
 
