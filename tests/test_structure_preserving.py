@@ -46,8 +46,7 @@ FORMS = [
 # Each form has a kernel of its own: of every family, one runs with the quick tests.
 QUICK = [("Verlet", "SE3"), ("RATTLie", "SO3xR3"), ("alpha2", "SO3xR3"), ("BLieDF2", "SO3xR3")]
 SLOW = [
-    ("Verlet4", "SE3"), ("RATTLie", "SE3"), ("alpha3", "SE3"), ("BLieDF1", "SO3xR3"),
-    ("SHAKELie", "SO3xR3"),
+    ("Verlet4", "SE3"), ("alpha3", "SE3"), ("BLieDF1", "SO3xR3"), ("SHAKELie", "SO3xR3"),
 ]  # fmt: skip
 MARKS = [
     () if form in QUICK else pytest.mark.slow if form in SLOW else pytest.mark.long
@@ -160,7 +159,7 @@ DAMPED = {
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", long_but(DAMPED, "Verlet", "alpha3"))
+@pytest.mark.parametrize("name", long_but(DAMPED, "Verlet"))
 def test_forces_that_depend_on_velocity_and_time_have_the_order_documented(name):
     problem, twist0 = box_top()
 
@@ -279,13 +278,13 @@ def bowl(R, r):
     ],
 )
 def test_constraints_of_a_users_hold_and_have_the_order(name, cspace):
-    """A bead in a bowl, with an axis kept horizontal; DOP853 solves the saddle point."""
+    """A bead in a bowl, with an axis kept horizontal; RK4 solves the saddle point."""
     bead = lierb.Problem(box(), lierb.joints.free(), GRAVITY, constraints=bowl())
     pose = np.eye(4)
     pose[:3, 3] = (0.3, 0.1, 0.05)
     pose = bead.close(pose)
     start = {"pose0": pose, "twist0": bead.project((0.3, 0.2, 2.0, 0.5, -0.3, 0.0), pose)}
-    exact = integrate(bead, **start, dt=1e-3, t_end=1.0, method="DOP853")
+    exact = integrate(bead, **start, dt=1e-3, t_end=1.0, method="RK4")
     errors = []
     for dt in (0.02, 0.01, 0.005):
         run = integrate(bead, **start, dt=dt, t_end=1.0, method=name, cspace=cspace)
