@@ -164,7 +164,7 @@ def swinging(_t: float, y: np.ndarray) -> np.ndarray:
     return np.array([u, v, *np.linalg.solve(matrix, push)])
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_heavy_rod_on_a_light_one_swings_as_lagrange_says():
     along = {"body_point": (0.0, 0.0, 0.5 * LENGTH), "axis": (0.0, 1.0, 0.0)}
     links, parent = [], "ground"
