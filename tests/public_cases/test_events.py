@@ -269,7 +269,7 @@ def test_c54_pulse_is_met_where_it_is_told(begin, end, t_end, rtol):
 
 
 @pytest.mark.parametrize("dt", [0.01, 0.05])
-@pytest.mark.parametrize("method", [None, pytest.param("DOP853", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("method", [None, pytest.param("DOP853", marks=pytest.mark.long)])
 def test_c04_flights_shorter_than_a_step_end_on_the_floor(method, dt):
     """Thrown up from the floor, flights from 3 s down to 3 µs, all with the same step."""
     speeds = 14.0 * 0.8 ** np.arange(62)

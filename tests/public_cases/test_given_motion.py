@@ -34,7 +34,7 @@ def pendulum_on_a_cart() -> lierb.Mechanism:
     )
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_c29_a_pendulum_on_a_shaken_cart_moves_as_scipy_says():
     """drake#2623, drake#19234, chrono#26, chrono#438: a joint follows a function of time.
 
