@@ -65,13 +65,11 @@ def test_c36_free_body_in_a_fluid_is_that_of_kirchhoff(cspace):
     com = 0.0 * COM if cspace == "SO3xR3" else COM
     matrices = np.array([FLUID, np.diag(np.diag(FLUID))])
     mechanism = hull(lierb.forces.added_mass(matrices), com=com)
-    result = integrate(
-        mechanism, twist0={"hull": TWIST}, dt=2e-3, t_end=1.0, method="DOP853", cspace=cspace
-    )
+    result = integrate(mechanism, twist0={"hull": TWIST}, dt=2e-4, t_end=1.0, cspace=cspace)
     for i, matrix in enumerate(matrices):
         right = in_fluid(matrix, com)
         pose = result.end["pose0"]["hull"][i]
-        # the reference's own error, grown by a second of falling and turning
+        # RK4 leaves 2e-11, the reference less than 1e-12
         assert np.abs(pose[:3, :3].ravel() - right[:9]).max() < 1e-10
         assert np.abs(pose[:3, 3] - right[9:12]).max() < 1e-10
         assert np.abs(result.end["twist0"]["hull"][i] - right[12:]).max() < 1e-10
@@ -234,7 +232,7 @@ def test_mass_may_be_an_extra_state():
 def test_negative_mass_ends_a_trajectory():
     rocket = hull(shrinking(start=[0.15, 2.0]))
     with pytest.warns(lierb.errors.FailedTrajectoryWarning):
-        result = lierb.integrate(rocket, dt=0.01, t_end=1.0)
+        result = integrate(rocket, dt=0.01, t_end=1.0)
     assert result.summary["status"].to_pylist() == ["non_finite", "ok"]
 
 

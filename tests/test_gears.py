@@ -42,7 +42,7 @@ def pair() -> lierb.Mechanism:
     )  # fmt: skip
 
 
-@pytest.mark.parametrize("cspace", tiered(["reduced", "SE3", "SO3xR3"], ["reduced"], ["SE3"]))
+@pytest.mark.parametrize("cspace", tiered(["reduced", "SE3", "SO3xR3"], ["reduced"], []))
 def test_two_wheels_turn_by_their_ratio(cspace):
     """Right: (I₁ n² + I₂) α₂ = n τ, and the torque I₂ α₂ on the second wheel."""
     machine = pair()
@@ -86,7 +86,7 @@ SUN, PLANET, RING = 20.0, 16.0, 52.0  # teeth
 PLANETARY = {"carrier": 0.08, "sun": 0.01, "planet": 0.004}
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_planetary_gear_has_the_ratio_of_willis():
     """Ring on the ground, a torque on the sun. Right: ω_s = (1 + z_r/z_s) ω_c, and the energy."""
     arm, mass, torque = 0.09, 0.6, 0.5

@@ -21,9 +21,25 @@ def spring(turns="turned"):
     return lierb.forces.torsional_spring(stiffness=STIFFNESS, turns=turns)
 
 
-def mainspring(start=SWING) -> lierb.Problem:
+@lierb.observable(unit="1")
+def revolutions(states):
+    return states.turned / (2.0 * np.pi)
+
+
+@lierb.event(terminal=True, at=-1e3)
+def unwound(states, params):
+    return states.turned - params.at
+
+
+def mainspring(start=SWING, at=-1e3) -> lierb.Problem:
     held = lierb.joints.revolute()
-    return lierb.Problem(BODY, held, forces=spring(), states=lierb.turns(start=start))
+    return lierb.Problem(
+        BODY, held, forces=spring(), states=lierb.turns(start=start), observables=revolutions(),
+        events=unwound(at=at),
+    )  # fmt: skip
+
+
+FIXED = {"dt": 1e-3, "record": ("state", "energy")}  # a kernel for all of them
 
 
 def wound(problem) -> np.ndarray:
@@ -37,7 +53,7 @@ ADAPTIVE = {"rtol": 1e-10, "method": "DOP853"}
 @pytest.mark.parametrize(
     "options",
     [
-        {"dt": 1e-3},
+        FIXED,
         pytest.param(ADAPTIVE, marks=pytest.mark.long),
         pytest.param({"rtol": 1e-10, "method": "Rodas5P"}, marks=pytest.mark.long),
     ],
@@ -49,7 +65,7 @@ def test_a_spring_is_wound_by_many_turns(options):
     saved = {"save_at": t} if "rtol" in options else {"save_every": 1000}
     result = lierb.integrate(
         problem, pose0=wound(problem), twist0=np.zeros((3, 6)), t_end=10.0,
-        record=("state", "energy"), **saved, **options,
+        **FIXED | {"dt": None} | saved | options,
     )  # fmt: skip
     assert result.failed.size == 0
     angle = SWING * np.cos(FREQUENCY * t[:, None])
@@ -70,9 +86,8 @@ def test_the_start_is_that_of_the_pose_nearest_to_the_one_given():
     """Right: ten turns and 1 rad, whatever is given within half a turn of it."""
     held, whole = lierb.joints.revolute(), 20.0 * np.pi + 1.0
     start = whole + np.array([0.0, 3.1, -3.1])
-    problem = lierb.Problem(BODY, held, forces=spring(), states=lierb.turns(start=start))
     result = integrate(
-        problem, pose0=held.pose([1.0]), twist0=np.zeros((3, 6)), dt=1e-3, t_end=1e-3
+        mainspring(start), pose0=held.pose([1.0]), twist0=np.zeros((3, 6)), t_end=1e-3, **FIXED
     )
     first = np.array(result.history["turned"])[:3]
     np.testing.assert_allclose(first, whole, rtol=1e-15)
@@ -108,29 +123,13 @@ def test_stops_many_turns_apart_are_met():
     assert np.all(drift < 1e-5)
 
 
-@lierb.observable(unit="1")
-def revolutions(states):
-    return states.turned / (2.0 * np.pi)
-
-
-@lierb.event(terminal=True)
-def unwound(states, params):
-    return states.turned - params.at
-
-
 @pytest.mark.slow
 def test_observables_and_events_read_the_counted_angle():
     """Right: 100 cos(ωt) = 30 rad, and its turns."""
-    problem = mainspring()
-    problem = lierb.Problem(
-        problem.body, problem.joint, forces=problem.forces, states=problem.states,
-        observables=revolutions(), events=unwound(at=0.3 * SWING),
-    )  # fmt: skip
-    result = lierb.integrate(
-        problem, pose0=wound(problem), twist0=np.zeros((3, 6)), t_end=10.0, **ADAPTIVE
-    )
+    problem = mainspring(at=0.3 * SWING)
+    result = integrate(problem, pose0=wound(problem), twist0=np.zeros((3, 6)), t_end=10.0, **FIXED)
     assert result.summary["status"].to_pylist() == ["event"] * 3
-    np.testing.assert_allclose(result.t, np.arccos(0.3) / FREQUENCY, rtol=1e-9)
+    np.testing.assert_allclose(summed(result, "t"), np.arccos(0.3) / FREQUENCY, rtol=1e-9)
     np.testing.assert_allclose(
         summed(result, "revolutions_final"), 0.3 * SWING / (2.0 * np.pi), rtol=1e-9
     )
@@ -140,10 +139,10 @@ def test_observables_and_events_read_the_counted_angle():
 def test_a_continued_run_goes_on_counting():
     """Right: the bits of one run."""
     problem = mainspring()
-    given = {"pose0": wound(problem), "twist0": np.zeros((3, 6)), "dt": 1e-3}
+    given = {"pose0": wound(problem), "twist0": np.zeros((3, 6)), **FIXED}
     whole = integrate(problem, **given, t_end=0.4)
     first = integrate(problem, **given, t_end=0.2)
-    second = integrate(problem, **first.end, dt=1e-3, t_end=0.4)
+    second = integrate(problem, **first.end, **FIXED, t_end=0.4)
     for name in ("turned", "rotation", "omega"):
         np.testing.assert_array_equal(summed(second, name), summed(whole, name), err_msg=name)
 
@@ -151,8 +150,8 @@ def test_a_continued_run_goes_on_counting():
 def test_part_of_a_batch_counts_as_before():
     problem = mainspring()
     alone = problem.of_body(2)
-    result = integrate(alone, pose0=wound(problem)[2], twist0=np.zeros(6), dt=1e-3, t_end=0.4)
-    whole = integrate(problem, pose0=wound(problem), twist0=np.zeros((3, 6)), dt=1e-3, t_end=0.4)
+    result = integrate(alone, pose0=wound(problem)[2], twist0=np.zeros(6), t_end=0.4, **FIXED)
+    whole = integrate(problem, pose0=wound(problem), twist0=np.zeros((3, 6)), t_end=0.4, **FIXED)
     assert summed(result, "turned")[0] == summed(whole, "turned")[2]
 
 

@@ -178,7 +178,7 @@ def test_a_ball_on_a_turntable_moves_in_circles():
 def test_a_start_must_not_slip():
     problem = sleigh()
     with pytest.raises(TwistError, match=r"blade: 0\.5.*problem\.project"):
-        lierb.integrate(problem, twist0=(0.0, 0.0, 1.0, 2.0, 0.5, 0.0), dt=0.1, t_end=1.0)
+        integrate(problem, twist0=(0.0, 0.0, 1.0, 2.0, 0.5, 0.0), dt=0.1, t_end=1.0)
     found = problem.project((0.0, 0.0, 1.0, 2.0, 0.5, 0.0))
     # the nearest in kinetic energy: (I + m a²) ω + m a v fixed along the motions allowed
     assert found[4] == pytest.approx(0.0, abs=1e-15)
