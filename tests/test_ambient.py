@@ -24,7 +24,7 @@ LOWER_PAIRS = (
 COARSE = 0.05  # s, in which the weightless box turns by 0.4 rad
 
 
-@pytest.mark.parametrize("name", tiered(LOWER_PAIRS, ["cylindrical"], ["planar"]))
+@pytest.mark.parametrize("name", tiered(LOWER_PAIRS, ["cylindrical"], []))
 def test_joints_but_screws_are_kept_in_coarse_steps(name):
     """V̇ and λ of the saddle point, on all six coordinates: nothing else holds the joint.
 
@@ -112,7 +112,7 @@ def test_bodies_that_are_one_stay_together():
 # ---- order, in plain Python: nothing is compiled -----------------------------------------------
 
 EXPLICIT = [name for name, tableau in TABLEAUS.items() if not tableau.exponentials]
-STEPS = {1: 2000, 2: 500, 3: 200, 4: 100, 5: 40, 6: 16, 7: 12, 8: 10, 9: 8}  # in 0.5 s
+STEPS = {1: 1000, 2: 500, 3: 200, 4: 100, 5: 40, 6: 16, 7: 12, 8: 10, 9: 8}  # in 0.5 s
 T_END = 0.5
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cases import LENGTH, PITCH, long_but, tilted
+from cases import LENGTH, PITCH, long_but, tiered, tilted
 from mechanisms import samples
 from scipy.linalg import expm
 
@@ -376,11 +376,11 @@ def test_theory_shows_the_stored_drift_of_mechanisms():
 
 
 QUICK = ("revolute, revolute", "planar, prismatic", "cylindrical, hook; spherical", "four_bar")
+LONG = ("branched", "star", "sliding", "loosely", "two_loops")  # each takes longer than the others
+SLOW = [name for name in bench.shapes() if name not in LONG]
 
 
-@pytest.mark.parametrize(
-    "name", [pytest.param(n, marks=[] if n in QUICK else pytest.mark.slow) for n in bench.shapes()]
-)
+@pytest.mark.parametrize("name", tiered(bench.shapes(), QUICK, SLOW))
 def test_predictions_are_the_stored_ones(name):
     stored = _stored()["mechanisms"][name]
     found = bench.predicted(name)
@@ -393,7 +393,7 @@ def test_predictions_are_the_stored_ones(name):
     }
 
 
-@pytest.mark.parametrize("cspace", CSPACES)
+@pytest.mark.parametrize("cspace", long_but(CSPACES, "SE3"))
 @pytest.mark.parametrize(
     "name",
     long_but(["revolute, universal; point_on_sphere", "planar, prismatic"], "planar, prismatic"),
