@@ -70,11 +70,11 @@ def fitted(problem, data, parameters, **more) -> lierb.analysis.fit_result.Fit:
 
 @pytest.mark.slow
 def test_fit_recovers_the_parameters_of_exact_data():
-    fit = fitted(pendulum(0.3, 0.5), data_of(swung(), "omega"), [
-        DAMPING, STIFFNESS])  # fmt: skip
+    fit = fitted(pendulum(0.3, 0.5), data_of(swung(), "omega"), [DAMPING, STIFFNESS, "omega0"])
     assert fit.converged
     assert_allclose(fit.estimate[DAMPING], [0.02], rtol=1e-9)
     assert_allclose(fit.estimate[STIFFNESS], [0.0], atol=1e-9)
+    assert_allclose(fit.estimate["omega0"], 0.0, atol=1e-9)
     assert fit.unidentifiable == ()
     assert_allclose(fit.problem.forces[0].parameters["damping"], 0.02, rtol=1e-9)
     # the run and the start are those of the estimate
@@ -163,7 +163,7 @@ def test_missing_samples_tables_and_lists_give_the_same_fit():
 
 @pytest.mark.slow
 def test_several_trajectories_share_parameters_and_have_starts_of_their_own():
-    problem = pendulum()
+    problem = pendulum(0.02, 0.4)
     starts = problem.joint.pose(np.array([[0.5], [1.0], [1.5]]))
     rates = problem.joint.twist(omega=np.array([[0, 0.2, 0], [0, -0.3, 0], [0, 0.5, 0.0]]))
     truth = lierb.integrate(
@@ -171,15 +171,16 @@ def test_several_trajectories_share_parameters_and_have_starts_of_their_own():
     )
     data = data_of(truth, "omega")
     fit = fitted(
-        pendulum(0.05), data, [DAMPING, "omega0"], pose0=starts, twist0=None,
+        pendulum(0.05, 0.5), data, [DAMPING, STIFFNESS, "omega0"], pose0=starts, twist0=None,
         sigma={"omega": 1e-3},
     )  # fmt: skip
     assert_allclose(fit.estimate[DAMPING], [0.02], rtol=1e-9)
+    assert_allclose(fit.estimate[STIFFNESS], [0.4], rtol=1e-9)
     assert_allclose(fit.estimate["omega0"], truth.omega[0], atol=1e-9)
     assert fit.estimate["omega0"].shape == fit.standard_errors["omega0"].shape == (3, 3)
     assert "omega0[2][1]" in fit.labels
     # the joint admits one of three directions of each start
-    assert np.linalg.matrix_rank(fit.covariance, tol=1e-16) == 4
+    assert np.linalg.matrix_rank(fit.covariance, tol=1e-16) == 5
     assert fit.unidentifiable == ()
 
 

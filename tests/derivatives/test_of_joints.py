@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from cases import GRAVITY, box, tiered
+from cases import GRAVITY, RECORD, box, tiered
 from cases import joint as made_joint
 
 import lierb
@@ -12,7 +12,7 @@ from derivatives import complex_steps as steps
 
 T_END = 0.25
 # Steps whose error, and that of its derivatives, is of the order of rounding.
-RUN = {"dt": 1e-4, "t_end": T_END, "save_every": 2500, "record": ("state", "multipliers")}
+RUN = {"dt": 1e-4, "t_end": T_END, "save_every": 2500, "record": RECORD}
 COM = np.array((0.03, -0.02, 0.05))
 FRAMES = ("joint.body_point", "joint.ground_point")
 NUMBERS = ("body.mass", "body.com", "body.inertia", "gravity")

@@ -10,6 +10,7 @@ from lierb.errors import LierbError
 TIMES = [0.5, 1.0, 2.0]
 STIFFNESS, MASS = 8.0, 2.0
 FREQUENCY = np.sqrt(STIFFNESS / MASS)
+NAMES = ["slide_spring.stiffness", "pose0", "twist0"]
 
 
 def oscillator():
@@ -26,12 +27,10 @@ def pendulum():
 @pytest.mark.slow
 def test_an_oscillators_covariance_is_the_closed_form():
     """x = x₀ cos ωt + v₀ sin ωt/ω, linear in the start; the correlation of x₀ and v₀ as well."""
-    sigma = np.zeros((12, 12))
+    sigma = np.zeros((13, 13))
     start = np.array([[4e-4, 1e-4], [1e-4, 9e-4]])  # of x₀ in m and v₀ in m/s
-    sigma[np.ix_([3, 9], [3, 9])] = start
-    spread = lierb.propagate(
-        oscillator(), sigma, ["pose0", "twist0"], TIMES, ["coordinates", "v"], dt=1e-3
-    )
+    sigma[np.ix_([4, 10], [4, 10])] = start
+    spread = lierb.propagate(oscillator(), sigma, NAMES, TIMES, ["coordinates", "v"], dt=1e-3)
     for i, t in enumerate(TIMES):
         c, s = np.cos(FREQUENCY * t), np.sin(FREQUENCY * t)
         flow = np.array([[c, s / FREQUENCY], [-FREQUENCY * s, c]])
@@ -52,8 +51,8 @@ def test_a_parameter_spreads_by_its_exact_derivative():
     problem = oscillator()
     place = problem.joint.pose([0.3])
     spread = lierb.propagate(
-        problem, {"slide_spring.stiffness": 0.02}, "slide_spring.stiffness", TIMES, "position",
-        pose0=place, dt=1e-3, monte_carlo=50,
+        problem, dict(zip(NAMES, (0.02, 0.0, 0.0))), NAMES, TIMES, "position", pose0=place,
+        dt=1e-3, monte_carlo=50,
     )  # fmt: skip
     t = np.array(TIMES)
     right = 0.3 * np.abs(np.sin(FREQUENCY * t)) * t * FREQUENCY / (2.0 * STIFFNESS) * 0.02
@@ -94,21 +93,25 @@ def test_the_covariance_of_a_fit_goes_on():
     problem = oscillator()
     place = problem.joint.pose([0.3])
     truth = lierb.integrate(
-        problem, pose0=place, dt=1e-3, t_end=2.0, save_every=100, record="state"
+        problem, pose0=place, dt=1e-3, t_end=2.0, save_at=0.1 * np.arange(21), record="state"
     )
     data = {"t": truth.t, "position": truth.position}
-    names = ["slide_spring.stiffness"]
-    fit = lierb.fit(problem, data, names, pose0=place, dt=1e-3, sigma={"position": 1e-3})
+    fit = lierb.fit(problem, data, NAMES, pose0=place, dt=1e-3, sigma={"position": 1e-3})
     spread = lierb.propagate(
-        fit.problem, fit.covariance, names, [5.0], "position", **fit.start, dt=1e-3
+        fit.problem, fit.covariance, NAMES, [5.0], "position", **fit.start, dt=1e-3
     )
-    # of 21 samples x₀ ∂(cos ωt)/∂k
-    t = truth.t
-    slopes = 0.3 * np.sin(FREQUENCY * t) * t * FREQUENCY / (2.0 * STIFFNESS)
-    deviation = 1e-3 / np.sqrt(slopes @ slopes)
-    assert_allclose(fit.standard_errors["slide_spring.stiffness"], deviation, rtol=1e-6)
-    later = 0.3 * abs(np.sin(FREQUENCY * 5.0)) * 5.0 * FREQUENCY / (2.0 * STIFFNESS)
-    assert_allclose(spread.standard_deviations("position")[0, 0], later * deviation, rtol=1e-6)
+
+    def slopes(t):
+        """∂x by k, x₀ and v₀, of x = x₀ cos ωt + v₀ sin ωt/ω at v₀ = 0."""
+        s, c = np.sin(FREQUENCY * t), np.cos(FREQUENCY * t)
+        return np.stack([-0.3 * s * t * FREQUENCY / (2.0 * STIFFNESS), c, s / FREQUENCY], -1)
+
+    by = slopes(truth.t)
+    right = 1e-6 * np.linalg.inv(by.T @ by)
+    assert_allclose(fit.covariance[np.ix_(own := [0, 4, 10], own)], right, rtol=1e-6)
+    later = slopes(5.0)
+    deviation = np.sqrt(later @ right @ later)
+    assert_allclose(spread.standard_deviations("position")[0, 0], deviation, rtol=1e-6)
 
 
 @pytest.mark.parametrize(
