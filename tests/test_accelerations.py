@@ -160,10 +160,10 @@ def test_c56_a_tip_reads_what_scipy_says():
     pose0 = machine.pose({"upper": 0.3, "lower": -0.7})
     twist0 = machine.twist({"upper": 1.0, "lower": -3.0}, pose0)
     result = lierb.integrate(
-        machine, pose0=pose0, twist0=twist0, rtol=1e-11, method="DOP853", t_end=2.0, save_at=t
+        machine, pose0=pose0, twist0=twist0, dt=2.5e-4, t_end=2.0, save_every=400
     )
     force, alpha = readings(result)
-    # 1e-11 of the motion, which the two pendulums amplify
+    # RK4: 8e-9 of accelerations of some 100, which the two pendulums amplify
     np.testing.assert_allclose(force[:, 0] + 1j * force[:, 1], felt, rtol=0, atol=1e-7)
     np.testing.assert_allclose(alpha[:, 2], turns[1], rtol=0, atol=1e-7)
     np.testing.assert_allclose(force[:, 2], 0.0, atol=1e-12)
@@ -263,11 +263,13 @@ def test_forces_and_states_cannot_depend_on_accelerations():
 @pytest.mark.slow
 def test_a_run_with_accelerations_has_the_same_motion():
     """Right: the bits of the run without."""
-    body, held = lierb.Body(1.0, (0.2, 0.25, 0.3)), lierb.joints.spherical((0.1, 0.0, 0.3))
+    body, held = lierb.Body(1.0, (0.2, 0.25, 0.3)), lierb.joints.revolute((0.1, 0.0, 0.3))
     results = []
     for observables in ((), imu(POINT)):
         problem = lierb.Problem(body, held, DOWN, observables=observables)
         twist0 = problem.project((1.0, 2.0, 3.0, 0.0, 0.0, 0.0))
-        results.append(lierb.integrate(problem, twist0=twist0, dt=1e-2, t_end=0.5))
+        results.append(
+            lierb.integrate(problem, twist0=twist0, dt=1e-2, t_end=0.5, save_every=50, cspace="SE3")
+        )
     for name in ("rotation", "omega"):
         np.testing.assert_array_equal(*(summed(result, name) for result in results))

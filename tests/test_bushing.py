@@ -81,7 +81,7 @@ def test_body_moves_as_newton_and_euler_say(stiffness):
     )
     problem = lierb.Problem(lierb.Body(MASS, INERTIA), lierb.joints.free(), GRAVITY, bushing)
     twist = np.array((1.0, 2.0, -1.0, 0.1, 0.2, 0.3))
-    result = lierb.integrate(problem, twist0=twist, rtol=1e-10, t_end=T_END, cspace="SE3")
+    result = lierb.integrate(problem, twist0=twist, dt=2e-4, t_end=T_END, cspace="SE3")
     (row,) = result.summary.to_pylist()
     turn, place, omega, v = reference(stiffness, DAMPING, twist)
     for name, expected in (
@@ -90,7 +90,7 @@ def test_body_moves_as_newton_and_euler_say(stiffness):
         ("omega", omega),
         ("v", v),
     ):
-        # both runs have tolerances of 1e-10 or less, in 0.4 s of 2 to 4 Hz
+        # RK4 with 1250 steps or more in a period, and a reference with 1e-10 or less
         np.testing.assert_allclose(np.ravel(row[name]), expected, atol=1e-8, err_msg=name)
     assert row["work_final"] < -1.0  # J
     assert row["energy_drift_max"] < 1e-8
@@ -116,12 +116,12 @@ def test_turn_about_one_axis_is_a_damped_oscillation():
     assert np.arctan2(turn[1, 0], turn[0, 0]) == pytest.approx(angle, abs=1e-9)  # 100 rtol
 
 
-@pytest.mark.slow
 def test_fixed_steps_beyond_the_stability_of_a_stiff_bushing_are_warned_of():
     slide = lierb.joints.prismatic()
     bushing = lierb.forces.bushing(stiffness=(0.0,) * 5 + (1e6,))
     problem = lierb.Problem(lierb.Body(1.0, (1.0, 1.0, 1.0)), slide, forces=bushing)
-    with pytest.warns(StiffStepWarning, match="bushing"):  # ω = 1e3 rad/s, bound 2.83e-3 s
+    # ω = 1e3 rad/s, bound 2.83e-3 s; before the run, which needs no kernel where this is an error
+    with pytest.raises(StiffStepWarning, match="bushing"):
         lierb.integrate(problem, twist0=slide.twist(), dt=4e-3, t_end=0.4)
 
 

@@ -488,6 +488,7 @@ method = "BS32"
 rtol = 1e-6
 t_end = 1.0
 save_at = { every = 0.25 }
+record = ["state", "energy", "multipliers", "reaction"]  # as a replay: they share a kernel
 
 [output]
 part = 4
@@ -534,7 +535,8 @@ def test_mechanisms_have_all_of_it(tmp_path):
     )
     given = Study.load(file)
     history = lierb.integrate_batches(given, "history").read_next_batch()
-    each = LABEL_BYTES + run_tables.history_row_bytes(given.batch(0, 1).problem, ())
+    problem, recorded = given.batch(0, 1).problem, given.integrate.record
+    each = LABEL_BYTES + run_tables.history_row_bytes(problem, recorded)
     assert abs(each * history.num_rows / history.nbytes - 1.0) < 0.05
 
 

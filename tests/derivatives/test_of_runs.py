@@ -6,11 +6,17 @@ from functools import cache
 
 import numpy as np
 import pytest
+from cases import RECORD
 
 import lierb
-from cases import RECORD
 from derivatives.test_of_joints import (
-    FRAMES, NUMBERS, STARTS, TOLERANCE, along, compare, problem_of,
+    FRAMES,
+    NUMBERS,
+    STARTS,
+    TOLERANCE,
+    along,
+    compare,
+    problem_of,
 )  # fmt: skip
 
 ALL = (*STARTS, *NUMBERS, *FRAMES)  # as test_of_joints.py, with its record: they share kernels

@@ -10,7 +10,7 @@ import lierb
 
 from .page import names_of
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.long
 
 
 @pytest.fixture(scope="module")
