@@ -19,7 +19,8 @@ TOGETHER = {
     "studies": ("cluster", "study", "dataset", "statistics"),
     "groups": ("lie", "lie_arrays", "log", "number_types"),
     "derivatives": (
-        "of_joints", "of_runs", "event_times", "through_functions", "names", "fit", "fits"
+        "of_joints", "of_runs", "of_mechanisms", "event_times", "through_functions", "names", "fit",
+        "fits",
     ),
 }  # fmt: skip
 BY_JOINT = ("accuracy", "exactness", "multipliers", "prediction", "solvers")

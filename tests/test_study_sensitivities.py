@@ -19,6 +19,7 @@ from lierb.errors import DerivativeWarning, StudyError
 from lierb.results.columns import as_array
 from lierb.studies.dataset import Dataset
 from lierb.studies.description.batches import batch_at
+from lierb.studies.description.differentiated import parameters_of
 from lierb.studies.description.study import Study
 from lierb.studies.execution import cluster, running
 from lierb.studies.execution.foreseen import foreseen
@@ -314,12 +315,13 @@ def test_derivatives_by_sampled_numbers_are_differences_of_runs(tables, link):
     deviations = {n: np.sqrt(q.moments[1].diagonal()) for n, q in design.quantities.items()}
     chain = AlongParameters(study, batch.draws, deviations)
     by = [result.sensitivity(f"{link}twist", name) for name in chain.parameters]
+    names = [parameter.name for parameter in parameters_of(study, batch.problem).values()]
 
     def twists(draws) -> np.ndarray:
         moved = batch_at(study, batch.draws | draws, 0, design.n)
         options = study.options(setting, moved.problem)
         run = integrate_model(  # with derivatives, whose kernel is there
-            moved.problem, options, moved.pose0, moved.twist0, with_respect_to=chain.parameters
+            moved.problem, options, moved.pose0, moved.twist0, with_respect_to=names
         )
         return np.concatenate((run[f"{link}omega"], run[f"{link}v"]), axis=-1)
 

@@ -7,9 +7,9 @@ import pickle
 import numpy as np
 import pytest
 from cases import top
-from mechanisms.shared import double_pendulum
 
 import lierb
+from derivatives.test_of_mechanisms import DOUBLE, double_pendulum
 from lierb.errors import ArgumentError, UnknownNameError
 
 RUN = {"dt": 1e-2, "t_end": 0.1}
@@ -201,14 +201,13 @@ def test_tables_have_the_rows_of_the_run_and_units():
 @pytest.mark.slow
 def test_a_mechanism_has_columns_of_links_and_joints():
     result = swung(
-        save_every=10, record=("multipliers", "reaction"),
-        with_respect_to=["lower.omega0", "upper.body.mass"],
-    )  # fmt: skip
+        save_every=10, record=("state", "multipliers", "reaction"), with_respect_to=DOUBLE
+    )
     assert result.sensitivities.quantities == (
         "upper.pose", "upper.twist", "lower.pose", "lower.twist", "energy", "upper.lambda",
         "lower.lambda", "upper.reaction", "lower.reaction",
     )  # fmt: skip
-    assert result.sensitivity("lower.lambda", "lower.omega0").shape == (2, 1, 5, 3)
+    assert result.sensitivity("lower.lambda", "upper.omega0").shape == (2, 1, 5, 3)
     assert result.sensitivity("upper.reaction", "upper.body.mass").shape == (2, 1, 6, 1)
     # The upper joint bears the upper link: without gravity of it, its force changes by the mass.
     force = result.sensitivity("upper.reaction", "upper.body.mass")[0, 0, 3:, 0]

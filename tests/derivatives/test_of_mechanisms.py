@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from cases import RECORD
 from mechanisms import oracle, samples
 from mechanisms.test_oracle import sample
 
@@ -98,7 +99,7 @@ def test_derivatives_of_a_double_pendulum_are_those_of_complex_steps(options):
     pose0 = pendulum.pose({"upper": 0.9, "lower": 0.6})
     twist0 = pendulum.twist({"upper": 2.0, "lower": -5.0}, pose0)
     result = lierb.integrate(
-        pendulum, pose0=pose0, twist0=twist0, t_end=0.3, record="state", with_respect_to=DOUBLE,
+        pendulum, pose0=pose0, twist0=twist0, t_end=0.3, record=RECORD, with_respect_to=DOUBLE,
         **options,
     )  # fmt: skip
     weights = weights_of(result, DOUBLE)
