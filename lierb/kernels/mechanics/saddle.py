@@ -215,7 +215,7 @@ def multipliers_of(
     If the rows are violated, a dependent row has a pivot of δ²/p and a right-hand side of δ/√p, p
     the least pivot that is kept. With a tolerance of δ the first is within δ, the second within √δ.
     """
-    first = _Elimination(schur, excess, mobilities, PIVOT_TOLERANCE)
+    first = Elimination(schur, excess, mobilities, PIVOT_TOLERANCE)
 
     def checked() -> tuple[tuple[Any, ...], Any, Any]:
         contradicts = first.contradicts(bound, CONSISTENCY_TOLERANCE)
@@ -225,7 +225,7 @@ def multipliers_of(
         def repeated() -> tuple[tuple[Any, ...], Any, Any]:
             assert violation is not None
             off = maximum(OPEN_PIVOT * violation(), PIVOT_TOLERANCE)
-            second = _Elimination(schur, excess, mobilities, maximum(off, ROUNDED_PIVOT))
+            second = Elimination(schur, excess, mobilities, maximum(off, ROUNDED_PIVOT))
             contradicts = second.contradicts(bound, sqrt(off))
             return where(is_open, (tuple(second.multipliers), contradicts, second.count), solution)
 
@@ -244,12 +244,13 @@ def multipliers_of(
     return solution
 
 
-class _Elimination:
+class Elimination:
     """Factor S = L D Lᵀ and solve λ = S⁻¹ excess.
 
     Rows whose pivots in D are within the tolerance are left out.
 
-    Arguments are those of `multipliers_of`.   count : number of rows that are left out.
+    Arguments are those of `multipliers_of`.   dropped : 1 for a row that is left out, else 0.
+    count : number of rows that are left out.
     """
 
     def __init__(
@@ -257,7 +258,7 @@ class _Elimination:
     ) -> None:
         m = len(schur)
         self.lower: list[list[Any]] = []  # L
-        self.dropped: list[Any] = []  # 1 for a row that is left out, else 0
+        self.dropped: list[Any] = []
         self.y: list[Any] = []  # L⁻¹ excess
         scaled: list[list[Any]] = []  # L D
         pivots_inverse: list[Any] = []

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from lierb.kernels.numbers.arithmetic import fma
+from lierb.kernels.numbers.arithmetic import fma, where
 from lierb.kernels.numbers.vec import Vec
 from lierb.kernels.numbers.zero import ZERO, is_zero
 
@@ -16,14 +16,19 @@ class Factored:
     that does makes the solution infinite or NaN.
     """
 
-    def __init__(self, rows: list[list[Any]]) -> None:
-        """Factor A.   rows : A, row by row."""
+    def __init__(self, rows: list[list[Any]], left_out: Vec = ()) -> None:
+        """Factor A.
+
+        rows : A, row by row.   left_out : 1 for each of the last rows and unknowns that are left
+        out, and are 0 in solutions; else 0.
+        """
         n = len(rows)
+        marks = (*(ZERO,) * (n - len(left_out)), *left_out)
         self.upper = [list(row) for row in rows]
         self.lower: list[list[Any]] = [[ZERO] * n for _ in rows]
         self.inverses: list[Any] = []
         for k, pivot_row in enumerate(self.upper):
-            inverse = 1.0 / pivot_row[k]
+            inverse = _inverse(pivot_row[k], marks[k])
             self.inverses.append(inverse)
             for i in range(k + 1, n):
                 if is_zero(self.upper[i][k]):
@@ -46,6 +51,13 @@ class Factored:
                 x[i] = less(x[i], row[j], x[j])
             x[i] = x[i] * self.inverses[i]
         return tuple(x)
+
+
+def _inverse(pivot: Any, is_left_out: Any) -> Any:
+    if is_zero(is_left_out):
+        return 1.0 / pivot
+    leaves = is_left_out > 0.5
+    return where(leaves, 0.0, 1.0 / where(leaves, 1.0, pivot))
 
 
 def less(x: Any, factor: Any, y: Any) -> Any:

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-from lierb.kernels.numbers.arithmetic import fma
+from lierb.kernels.numbers.arithmetic import fma, where
 from lierb.kernels.numbers.newton import simplified_newton
 from lierb.kernels.numbers.vec import Vec, add, axpy, scale, sub
 from lierb.kernels.numbers.zero import ZERO
@@ -56,12 +56,13 @@ class DescriptorMethod(UnestimatedMethod):
         n, m = form.width, form.rows
         predicted = self.predicted(state, at.h)
         to_x, to_v = predicted.to_x, predicted.to_v
-        before = form.constraints(state.chart) if self.is_stabilised else None
+        before = form.constraints(state.chart)
+        dependent = form.dependent(before)
 
         def end(unknowns: Vec) -> tuple[Vec, Any, Vec]:
             """Return X, C₁ and V₁."""
             x = axpy(to_x, unknowns[:n], predicted.x)
-            if before is not None:  # η in units in which its column is as large as that of λ
+            if self.is_stabilised:  # η in units in which its column is as large as that of λ
                 x = sub(x, scale(to_x, before.force(unknowns[n + m :])))
             return x, form.moved(state.chart, x), axpy(to_v, unknowns[:n], predicted.velocity)
 
@@ -77,14 +78,18 @@ class DescriptorMethod(UnestimatedMethod):
         def size(change: Vec) -> Any:
             return form.size(state.chart, scale(to_x, change[:n]))
 
-        known = state.carried
-        guess = (*known[:n], *known[len(known) - m :], *(ZERO,) * (m * self.is_stabilised))
-        solved = simplified_newton(residual, guess, size, state.v_or_mu[0] + 0.0 * at.h)
+        multipliers = state.carried[len(state.carried) - m :]
+        if dependent:
+            marked = zip(dependent, multipliers, strict=True)
+            multipliers = tuple(where(mark > 0.5, 0.0, x) for mark, x in marked)
+        guess = (*state.carried[:n], *multipliers, *(ZERO,) * (m * self.is_stabilised))
+        like, left_out = state.v_or_mu[0] + 0.0 * at.h, dependent * (1 + self.is_stabilised)
+        solved = simplified_newton(residual, guess, size, like, left_out)
         x, chart, velocity = end(solved.unknowns)
         rate, multipliers = solved.unknowns[:n], solved.unknowns[n : n + m]
         carried = (*rate, *self.own(state, at.h, x, rate), *multipliers)
         moved = state._replace(chart=chart, v_or_mu=velocity, carried=carried)
-        return ended(with_work(form, state, moved, at), form.singular, solved.unsolved)
+        return ended(with_work(form, state, moved, at), form.singular(dependent), solved.unsolved)
 
 
 def with_work(form: Descriptor, before: State, after: State, at: Interval) -> State:

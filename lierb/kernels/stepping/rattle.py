@@ -41,10 +41,10 @@ class Rattle(UnestimatedMethod):
         moves = absolute(h) > 0.0  # false for idle lanes
         first = form.applied(state.chart, state.v_or_mu, at.time)
         momentum = axpy(0.5 * h, first.wrench, form.momentum(state.v_or_mu))
-        x, unsolved = displacement(form, state, momentum, h)
+        x, unsolved, dependent = displacement(form, state, momentum, h)
         chart, inverse = form.moved(state.chart, x), 1.0 / where(moves, h, 1.0)
         arrived = scale(inverse, form.pulled(neg(x), form.momentum(x)))
-        consistent = form.consistent(form.constraints(chart))
+        consistent = form.consistent(form.constraints(chart), dependent)
 
         def end(velocity: Vec) -> tuple[Vec, Any]:
             """Return V₁ with forces at a velocity near it, and their power."""
@@ -61,16 +61,17 @@ class Rattle(UnestimatedMethod):
             moved = moved._replace(work=fma(0.5 * h, first.power + power, state.work))
         if system.plan.has_lane_clocks:
             moved = where(moves, moved, state)
-        return ended(moved, form.singular, unsolved)
+        return ended(moved, form.singular(dependent), unsolved)
 
 
-def displacement(form: Descriptor, state: State, momentum: Vec, h: Any) -> tuple[Vec, Any]:
-    """Return X of a step, and 1 where the iteration has not converged.
+def displacement(form: Descriptor, state: State, momentum: Vec, h: Any) -> tuple[Vec, Any, Vec]:
+    """Return X of a step, 1 where the iteration has not converged, and the rows left out.
 
     momentum : M V₀ + h/2 W(C₀).
     """
     chart, aim, n = state.chart, scale(h, momentum), form.width
     before = form.constraints(chart)
+    dependent = form.dependent(before)
 
     def residual(unknowns: Vec) -> Vec:
         x, multipliers = unknowns[:n], unknowns[n:]
@@ -82,5 +83,6 @@ def displacement(form: Descriptor, state: State, momentum: Vec, h: Any) -> tuple
         return form.size(chart, change[:n])
 
     guess = (*scale(h, state.v_or_mu), *(ZERO,) * form.rows)
-    unknowns, unsolved = simplified_newton(residual, guess, size, state.v_or_mu[0] + 0.0 * h)
-    return unknowns[:n], unsolved
+    like = state.v_or_mu[0] + 0.0 * h
+    unknowns, unsolved = simplified_newton(residual, guess, size, like, dependent)
+    return unknowns[:n], unsolved, dependent

@@ -44,7 +44,7 @@ class Shake(UnestimatedMethod):
         form = descriptor_of(system, body)
         wrench = form.applied(state.chart, state.v_or_mu, at.time).wrench
         momentum = axpy(0.5 * at.h, wrench, form.momentum(state.v_or_mu))
-        x, unsolved = displacement(form, state, momentum, at.h)
+        x, unsolved, _ = displacement(form, state, momentum, at.h)
         return state._replace(carried=(*x, unsolved))
 
     def step(
@@ -56,10 +56,11 @@ class Shake(UnestimatedMethod):
         there = state._replace(chart=form.moved(state.chart, x), v_or_mu=velocity)
         wrench = form.applied(there.chart, velocity, at.time + at.span).wrench
         before = scale(inverse, form.pulled(neg(x), form.momentum(x)))
-        after, unsolved = displacement(form, there, axpy(at.h, wrench, before), at.h)
+        momentum = axpy(at.h, wrench, before)
+        after, unsolved, dependent = displacement(form, there, momentum, at.h)
         momenta = add(before, scale(inverse, form.pulled(after, form.momentum(after))))
         mass = Factored([list(column) for column in form.mass_matrix()])
         velocity = mass.solve(scale(0.5, momenta))
         unsolved = maximum(unsolved, failed)
         moved = there._replace(v_or_mu=velocity, carried=(*after, unsolved))
-        return ended(with_work(form, state, moved, at), form.singular, unsolved)
+        return ended(with_work(form, state, moved, at), form.singular(dependent), unsolved)

@@ -16,10 +16,15 @@ from lierb.kernels.groups.quaternion import Chart
 from lierb.kernels.mechanics.constraints import smooth_residuals
 from lierb.kernels.mechanics.elements import Applied, applied_to
 from lierb.kernels.mechanics.newton_euler import BodyConstants
-from lierb.kernels.mechanics.saddle import has_others
-from lierb.kernels.numbers.arithmetic import fma, sqrt, where
+from lierb.kernels.mechanics.saddle import (
+    PIVOT_TOLERANCE,
+    Elimination,
+    has_others,
+    is_other_rank,
+)
+from lierb.kernels.numbers.arithmetic import any_lanes, branch, fma, sqrt, where
 from lierb.kernels.numbers.elimination import Factored
-from lierb.kernels.numbers.newton import total
+from lierb.kernels.numbers.newton import plain, total
 from lierb.kernels.numbers.vec import (
     ZERO6,
     Mat,
@@ -67,11 +72,44 @@ class Descriptor:
     rows: int  # number of constraint rows
     plan: Any
     system: Any
+    body: Any
 
     @property
-    def singular(self) -> Any:
-        """Return 1 where rows depend on others, so that λ is not determined."""
+    def may_depend(self) -> bool:
+        """Return whether rows may depend on other rows, as in a planar loop."""
         raise NotImplementedError
+
+    def dependent(self, constraints: Constraints) -> Vec:
+        """Return 1 for each row of J that depends on the rows before it, else 0.
+
+        Such a row is left out: the others imply it, and its multiplier is 0. () if no rows may
+        depend on others.
+        """
+        if not self.may_depend:
+            return ()
+        dropped = plain(self.body.dropped)
+
+        def found() -> Vec:
+            rows = [plain(row) for row in constraints.jacobian]
+            mass = Factored([list(plain(column)) for column in self.mass_matrix()])
+            columns = [mass.solve(row) for row in rows]
+            schur = [[dot(row, columns[j]) for j in range(i + 1)] for i, row in enumerate(rows)]
+            mobilities = [line[-1] for line in schur]
+            nothing = [ZERO] * len(rows)
+            return tuple(Elimination(schur, nothing, mobilities, PIVOT_TOLERANCE).dropped)
+
+        none = (0.0 * dropped,) * self.rows
+        return branch(any_lanes(dropped > 0.5), found, lambda: none, likely=False)
+
+    def singular(self, dependent: Vec) -> Any:
+        """Return 1 where the number of dependent rows is not that at the start of the run.
+
+        dependent : as returned by `dependent`.
+        """
+        if not dependent:
+            return ZERO
+        changes = is_other_rank(sum(dependent, start=ZERO), plain(self.body.dropped))
+        return where(changes, 1.0, 0.0 * plain(self.body.dropped))
 
     def momentum(self, velocity: Vec) -> Vec:
         """Return M V."""
@@ -112,12 +150,12 @@ class Descriptor:
         """Return the columns of M, which is symmetric."""
         return tuple(self.momentum(unit) for unit in units(self.width))
 
-    def consistent(self, constraints: Constraints) -> Factored:
-        """Factor [[M, Jᵀ], [J, 0]]."""
+    def consistent(self, constraints: Constraints, dependent: Vec) -> Factored:
+        """Factor [[M, Jᵀ], [J, 0]] without the rows that are `dependent`."""
         rows, m = constraints.jacobian, len(constraints.jacobian)
         mass = self.mass_matrix()
         upper = [[*mass[i], *(row[i] for row in rows)] for i in range(self.width)]
-        return Factored([*upper, *([*row, *(ZERO,) * m] for row in rows)])
+        return Factored([*upper, *([*row, *(ZERO,) * m] for row in rows)], dependent)
 
 
 class BodyDescriptor(Descriptor):
@@ -132,10 +170,8 @@ class BodyDescriptor(Descriptor):
         self.is_mixed = self.plan.cspace == "SO3xR3"
 
     @property
-    def singular(self) -> Any:
-        if not has_others(self.plan.rows):
-            return ZERO
-        return where(self.body.dropped > 0.5, 1.0, 0.0 * self.body.mass)
+    def may_depend(self) -> bool:
+        return has_others(self.plan.rows)
 
     def momentum(self, velocity: Vec) -> Vec:
         if self.is_mixed:

@@ -12,7 +12,6 @@ from lierb.kernels.mechanics.constraints import smooth_residuals
 from lierb.kernels.mechanics.elements import Applied
 from lierb.kernels.mechanics.tree import GROUND, TreeConstants, TreeMotion, root_of
 from lierb.kernels.mechanics.tree_rows import NodeRow
-from lierb.kernels.numbers.arithmetic import where
 from lierb.kernels.numbers.dual import Dual, lifted, parts_of, value_of
 from lierb.kernels.numbers.vec import (
     ZERO6,
@@ -58,10 +57,8 @@ class TreeDescriptor(Descriptor):
         self.width, self.rows = 6 * len(self.nodes), len(self.plan.rows)
 
     @property
-    def singular(self) -> Any:
-        if not self.plan.rows_with_multipliers:
-            return ZERO
-        return where(self.body.dropped > 0.5, 1.0, 0.0 * self.body.mass)
+    def may_depend(self) -> bool:
+        return bool(self.plan.rows_with_multipliers)
 
     def momentum(self, velocity: Vec) -> Vec:
         return _joined(self._momentum(i, v) for i, v in enumerate(sixes(velocity)))
@@ -125,7 +122,8 @@ class TreeDescriptor(Descriptor):
         rates = self.constraints(turning).rates(velocity)
         bends = tuple(-sum(lifted(parts_of(rate)), start=ZERO) for rate in rates)
         wrench = add(self.gyroscopic(velocity), self.applied(chart, velocity, time).wrench)
-        solution = self.consistent(constraints).solve((*wrench, *bends))
+        consistent = self.consistent(constraints, self.dependent(constraints))
+        solution = consistent.solve((*wrench, *bends))
         return solution[: self.width], solution[self.width :]
 
     def pulled(self, x: Vec, momentum: Vec) -> Vec:
