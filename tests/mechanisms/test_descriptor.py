@@ -18,7 +18,7 @@ from lierb.kernels.systems.tree_descriptor import TreeDescriptor
 from lierb.methods import METHODS
 from mechanisms import samples
 from mechanisms.samples import SHAPES
-from mechanisms.shared import in_python
+from mechanisms.shared import four_bar, in_python
 from mechanisms.test_against_oracle import moved, worst
 from mechanisms.test_oracle import sample
 
@@ -281,20 +281,71 @@ def test_energy_does_not_drift():
     assert drift[len(drift) // 2 :].max() < 1.2 * drift[: len(drift) // 10].max() < 0.1
 
 
-# ---- what is refused ---------------------------------------------------------------------------
+# ---- rows that depend on others -----------------------------------------------------------------
+
+
+@pytest.mark.slow
+def test_a_bar_that_is_pinned_twice_moves_as_on_one_hinge():
+    """A hinge and a ball joint at one point: three rows of eight depend on the others."""
+    hinge = lierb.joints.revolute((0.0, 0.0, 0.2))
+    pin = lierb.Loop("pin", lierb.joints.spherical((0.0, 0.0, 0.2)), "bar")
+    link = lierb.Link("bar", box(), hinge)
+    run = {"dt": 0.01, "t_end": 0.3, "method": "RATTLie", "cspace": "SE3", "save_every": 10}
+    run |= {"record": RECORDED}
+    once, twice = lierb.Mechanism(link, gravity=GRAVITY), lierb.Mechanism(link, pin, GRAVITY)
+    twist0 = once.twist({"bar": [1.0, -2.0]})
+    alone, pinned = (lierb.integrate(made, twist0=twist0, **run) for made in (once, twice))
+    assert pinned.summary["status"].to_pylist() == ["ok"] * 2
+    for name in ("bar.rotation", "bar.omega", "bar.lambda"):
+        found, right = (column(result.history, name) for result in (pinned, alone))
+        np.testing.assert_allclose(found, right, rtol=0, atol=1e-11)
+    assert not column(pinned.history, "pin.lambda").any()
 
 
 @pytest.mark.long
-def test_rows_that_depend_on_others_are_singular():
-    hinge = lierb.joints.revolute((0.0, 0.0, 0.2))
-    pin = lierb.Loop("pin", lierb.joints.spherical((0.0, 0.0, 0.2)), "bar")
-    made = lierb.Mechanism(lierb.Link("bar", box(), hinge), pin, gravity=GRAVITY)
+@pytest.mark.parametrize("cspace", CSPACES)
+@pytest.mark.parametrize("method", WITH_CONSTRAINTS)
+def test_a_planar_four_bar_has_the_order(method, cspace):
+    """Three of its rows depend on the others. Right: RK4 on reduced coordinates."""
+    bars = four_bar()
+    pose0 = bars.close(bars.pose({"crank": 0.3, "coupler": -0.5, "rocker": -1.0}))
+    twist0 = bars.project(bars.twist({"crank": 1.0}, pose0), pose0)
+    run = {"pose0": pose0, "twist0": twist0, "t_end": 0.2, "record": ["state", "reaction"]}
+    exact = lierb.integrate(bars, dt=1e-4, save_every=2000, **run)
+    shorter = {"BLieDF1": 32, "BLieDF2": 4}.get(method, 1)
+    errors = []
+    for dt in np.array((4e-3, 2e-3)) / shorter:
+        every = round(0.2 / dt)
+        result = lierb.integrate(bars, dt=dt, save_every=every, method=method, cspace=cspace, **run)
+        assert result.summary["status"].to_pylist() == ["ok"]
+        names = [*(f"{x}.{y}" for x in bars.names for y in ("rotation", "omega")), "pin.reaction"]
+        off = [column(result.history, name)[-1] - column(exact.history, name)[-1] for name in names]
+        errors.append([np.abs(x).max() for x in off])
+    np.testing.assert_allclose(slopes(errors), METHODS[method].order, atol=0.3)
+
+
+@pytest.mark.long
+def test_a_trajectory_whose_rank_changes_is_singular():
+    """A parallelogram leaves its flat pose, where one row more depends on the others."""
+    bar = lambda length: lierb.bodies.box((length, 0.02, 0.02), density=2700.0)
+    y = {"axis": (0.0, 1.0, 0.0)}
+    hinge = lambda at, **where: lierb.joints.revolute((at, 0.0, 0.0), **where, **y)
+    links = [
+        lierb.Link("crank", bar(0.2), hinge(-0.1)),
+        lierb.Link("coupler", bar(0.5), hinge(-0.25, parent_point=(0.1, 0.0, 0.0)), "crank"),
+        lierb.Link("rocker", bar(0.2), hinge(-0.1, ground_point=(0.5, 0.0, 0.0))),
+    ]
+    pin = lierb.Loop("pin", hinge(0.25, parent_point=(0.1, 0.0, 0.0)), "coupler", "rocker")
+    bars = lierb.Mechanism(links, pin)
+    twist0 = bars.twist({"crank": 1.0, "coupler": -1.0, "rocker": 1.0})
     with pytest.warns(FailedTrajectoryWarning, match="rows that do not say a thing twice"):
         run = lierb.integrate(
-            made, twist0=made.twist({"bar": 1.0}), dt=0.01, t_end=0.1, method="RATTLie",
-            cspace="SE3",
-        )  # fmt: skip
+            bars, twist0=twist0, dt=0.01, t_end=0.1, method="RATTLie", cspace="SE3"
+        )
     assert run.summary["status"].to_pylist() == ["singular"]
+
+
+# ---- what is refused ---------------------------------------------------------------------------
 
 
 REFUSED = [
