@@ -738,6 +738,10 @@ REFUSED = {
     "loop of the ground": (
         lambda: two(loops=lierb.Loop("pin", HINGE, "ground", "a")), ArgumentError, "as parent",
     ),
+    "site of nothing": (
+        lambda: two(sites={"tip": ("c", np.eye(4))}), UnknownNameError, "site tip: link='c'",
+    ),
+    "site without a pose": (lambda: two(sites={"tip": "a"}), ArgumentError, "site tip: .*pose"),
     "named ground": (lambda: link("ground"), ArgumentError, "fixed frame"),
     "no name": (lambda: link("my link"), ArgumentError, "letters, digits and _"),
     "no body": (lambda: lierb.Link("a", 3, HINGE), ArgumentError, "body of link a must be"),

@@ -674,6 +674,35 @@ def test_joints_that_are_none_of_the_catalogue_have_links_without_mass_between_t
     np.testing.assert_allclose(result["body"].rotation[0].ravel(), place.xmat, rtol=0, atol=1e-10)
 
 
+def test_sites_and_merged_bodies_are_named_frames(tmp_path):
+    """Right: MuJoCo's frames at a random pose, and after a change of the body frames."""
+    site = '<site name="tip" pos="0.1 0.2 0.3" euler="0.3 0 0.2"/>'
+    flange = f'<body name="flange" pos="0 0 0.4" euler="0 0.2 0">{site}</body>'
+    path = one_body(tmp_path, "<joint/>", inside=flange, around='<site name="mark" pos="1 2 3"/>')
+    model = model_of(path)
+    data = mujoco.MjData(model)
+    data.qpos[:] = (0.7, -0.4)
+    mujoco.mj_kinematics(model, data)
+    right = {
+        "tip": (data.site("tip").xpos, data.site("tip").xmat),
+        "mark": (data.site("mark").xpos, data.site("mark").xmat),
+        "flange": (data.body("flange").xpos, data.body("flange").xmat),
+    }
+    for frames in ("file", "centre"):
+        mechanism, _ = read(path, frames=frames)
+        assert {name: site.link for name, site in mechanism.sites.items()} == {
+            "tip": "body", "mark": "ground", "flange": "body",
+        }  # fmt: skip
+        pose = {"ground": np.eye(4)} | mechanism.pose({"base": 0.7, "body": -0.4})
+        for name, site in mechanism.sites.items():
+            place = pose[site.link] @ site.pose
+            np.testing.assert_allclose(place[:3, 3], right[name][0], rtol=0, atol=1e-12)
+            np.testing.assert_allclose(place[:3, :3].ravel(), right[name][1], rtol=0, atol=1e-12)
+        assert (
+            mechanism.with_({"body.body.mass": [1.0, 1.2]}).of_body(1).sites.keys() == right.keys()
+        )
+
+
 def test_joints_compose_only_if_their_forces_can_act(tmp_path):
     plain, sprung = '<joint axis="1 0 0"/>', '<joint axis="1 0 0" stiffness="4" damping="0.3"/>'
     other, stopped = '<joint axis="0 1 0"/>', '<joint axis="0 1 0" limited="true" range="-1 1"/>'

@@ -192,13 +192,16 @@ class Model(Represented):
             label: (*getattr(changed, label), *self._fitted(label, added[label], kind))
             for label, kind in ELEMENTS.items()
         }
-        return type(self)(*changed._structure, **elements)
+        return self._remade(changed._structure, elements)
 
     def renumbered(self, numbers: Numbers) -> Self:
         """Return the model with other numbers in some fields of `inputs`, in the shapes there."""
         numbers = {field: np.asarray(x) for field, x in numbers.items()}  # kernels read addresses
         elements = elements_with(self, numbers)
-        return type(self)(*self._structure_with(numbers), **elements)
+        return self._remade(self._structure_with(numbers), elements)
+
+    def _remade(self, structure: tuple[Any, ...], elements: dict[str, Any]) -> Self:
+        return type(self)(*structure, **elements)
 
     def _shown_elements(self) -> list[tuple[str, str]]:
         def line(element: Element) -> str:
@@ -249,7 +252,7 @@ class Model(Represented):
     def part(self, which: Which) -> Self:
         """Return one member of the batch, or a range of them."""
         elements = {label: [e.of_body(which) for e in getattr(self, label)] for label in ELEMENTS}
-        return type(self)(*self._structure_of(which), **elements)
+        return self._remade(self._structure_of(which), elements)
 
     # ---- runs ----
 

@@ -56,8 +56,10 @@ def add_loops(model: MjModel, placed: list[Placed], parts: Parts) -> None:
 
 def _end(model: MjModel, i: int, placed: list[Placed], is_by_sites: bool) -> Placed:
     """Return the link of body or site i, and the frame in the link."""
-    if not is_by_sites:
-        return placed[i]
+    return placed_site(model, i, placed) if is_by_sites else placed[i]
+
+
+def placed_site(model: MjModel, i: int, placed: list[Placed]) -> Placed:
     on = placed[model.site_bodyid[i]]
     return Placed(on.link, on.pose @ pose_of(model.site_pos[i], model.site_quat[i]))
 

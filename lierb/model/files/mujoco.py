@@ -17,7 +17,7 @@ from lierb.model.bodies.body import Body
 from lierb.model.files.compilation import compiled
 from lierb.model.files.composed_joints import SimpleJoint, composed, separate
 from lierb.model.files.joint_forces import KINDS, JointForces
-from lierb.model.files.loops import add_loops
+from lierb.model.files.loops import add_loops, placed_site
 from lierb.model.files.parts import GROUND, Parts, Placed
 from lierb.model.files.welded_bodies import (
     PART,
@@ -62,6 +62,7 @@ def read(
     try:
         placed = _add_links(model, parts, merge_fixed, limit_stiffness)
         add_loops(model, placed, parts)
+        _add_sites(model, placed, parts)
     except LierbError as error:
         raise ArgumentError(f"{brief(fspath(path))}: {error}") from error
     if not parts.links:
@@ -105,6 +106,15 @@ def _add_links(
     if fixed:
         parts.left_out.append(f"mass of what is welded to the ground: {', '.join(fixed)}")
     return placed
+
+
+def _add_sites(model: MjModel, placed: list[Placed], parts: Parts) -> None:
+    """Add the sites with a name, and the bodies that are part of another one's link."""
+    sites = {model.site(i).name: placed_site(model, i, placed) for i in range(model.nsite)}
+    links = {name for name, *_ in parts.links}
+    bodies = {label_of(model, i): placed[i] for i in range(1, model.nbody)}
+    merged = {name: at for name, at in bodies.items() if at.link != name and name not in links}
+    parts.sites = {name: at for name, at in (merged | sites).items() if name}
 
 
 def _add_chain(

@@ -31,6 +31,7 @@ class Parts:
     """Arguments of a `lierb.Mechanism`, and a list of the elements of the file that it lacks.
 
     link_of_joint : by MuJoCo's index of the joint.   light : names of links without mass.
+    sites : by name, those of the file and bodies that are part of a link.
     """
 
     gravity: Array
@@ -40,6 +41,7 @@ class Parts:
     link_of_joint: dict[int, str] = field(default_factory=dict)
     light: list[str] = field(default_factory=list)
     left_out: list[str] = field(default_factory=list)
+    sites: dict[str, Placed] = field(default_factory=dict)
 
     def free_name(self, given: str, default: str) -> str:
         """Return an unused identifier for a name of the file; list the name if it differs."""
@@ -74,3 +76,5 @@ class Parts:
             (name, moved(joint, body, parent), body, parent)
             for name, joint, body, parent in self.loops
         ]
+        for link, pose in self.sites.values():
+            pose[:3, 3] -= centres[link]

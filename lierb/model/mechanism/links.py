@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 from lierb.errors import ArgumentError, brief
 from lierb.model.acting import require
 from lierb.model.bodies.body import Body
 from lierb.model.functions.decorated import MOST_NAME
 from lierb.model.joints.joint import Joint
+from lierb.support.arrays import Array
 from lierb.support.representations import Lines, Represented
 
 GROUND = "ground"
@@ -55,6 +56,26 @@ class Link(Represented):
     def _representation(self) -> tuple[str, Lines]:
         title = f"lierb.Link {self.name}: {self.joint.name} joint to {self.parent}"
         return title, self.body._representation()[1]
+
+
+class Site(NamedTuple):
+    """Named frame of a link, such as that of a tool or a sensor; it has no effect on the motion.
+
+    Parameters
+    ----------
+    link : str
+        Name of the link, or "ground".
+    pose : ndarray, shape (4, 4)
+        The frame in the link's body frame.
+    """
+
+    link: str
+    pose: Array
+
+    @property
+    def point(self) -> Array:
+        """Origin in the link's body frame, m, of shape (3,)."""
+        return self.pose[:3, 3]
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -16,7 +16,7 @@ from lierb.model.mechanism.branches import assemblies_at
 from lierb.model.mechanism.closing import Mobility, closed, mobility, projected
 from lierb.model.mechanism.holding import closed_at
 from lierb.model.mechanism.kinematics import TreeKinematics
-from lierb.model.mechanism.links import ByLink, Link, Loop
+from lierb.model.mechanism.links import ByLink, Link, Loop, Site
 from lierb.model.mechanism.plan import formulation_of, mechanism_plan_of
 from lierb.model.mechanism.regularity import require_regular
 from lierb.model.mechanism.start_checks import immobile, start_of_mechanism, violation_of
@@ -51,6 +51,9 @@ class Mechanism(TreeKinematics):
         Further states, made by `lierb.states` and integrated with those of the mechanism.
     controllers : Controller or iterable of Controller, optional
         Sampled controllers, made by `lierb.controller`.
+    sites : mapping of str to Site, optional
+        Named frames of links, which have no effect on the motion: `(link, pose, point)` of each.
+        `from_mjcf` and `from_urdf` read them.
 
     Raises
     ------
@@ -189,6 +192,7 @@ class Mechanism(TreeKinematics):
             [Loop(*loop) for loop in parts.loops],
             parts.gravity if gravity is None else gravity,
             parts.forces,
+            sites={name: Site(*placed) for name, placed in parts.sites.items()},
         )
         if parts.light:
             require_regular(mechanism, parts.light)

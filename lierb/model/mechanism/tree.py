@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, Self
 
 from numpy.typing import ArrayLike
 
-from lierb.errors import ArgumentError, ForceError, items_of, unknown_name
+from lierb.errors import ArgumentError, ForceError, brief, items_of, unknown_name
 from lierb.kernels.mechanics.rows import Rows
 from lierb.model.acting import fitted, require
 from lierb.model.base import Model
@@ -23,7 +23,7 @@ from lierb.model.functions.events import Event
 from lierb.model.functions.observables import Observable
 from lierb.model.functions.states import ExtraStates
 from lierb.model.functions.wrenches import Force
-from lierb.model.mechanism.links import GROUND, Link, Loop
+from lierb.model.mechanism.links import GROUND, Link, Loop, Site
 from lierb.model.numbers import Numbers, body_with, joint_with
 from lierb.support.arrays import (
     Array,
@@ -46,6 +46,7 @@ class Tree(Model):
 
     links: tuple[Link, ...]
     loops: tuple[Loop, ...]
+    sites: dict[str, Site]
 
     def __init__(
         self,
@@ -58,11 +59,13 @@ class Tree(Model):
         events: Event | Iterable[Event] = (),
         states: ExtraStates | Iterable[ExtraStates] = (),
         controllers: Controller | Iterable[Controller] = (),
+        sites: Mapping[str, Site] | None = None,
     ) -> None:
         self._set(
             links=_all_of("links", links, Link, "lierb.Link"),
             loops=_all_of("loops", loops, Loop, "lierb.Loop"),
             gravity=as_numbers("gravity", gravity, (3,)),
+            sites=_sites_of(sites or {}),
         )
         self._check_names()
         _ = self.order  # raises for a cycle
@@ -104,6 +107,13 @@ class Tree(Model):
                 raise ArgumentError(
                     f'loop {loop.name}: body="{GROUND}"; expected a link, and "{GROUND}" as parent'
                 )
+
+        for name, site in self.sites.items():
+            if site.link not in known:
+                raise unknown_name(f"site {name}: link", site.link, known)
+
+    def _remade(self, structure: tuple[Any, ...], elements: dict[str, Any]) -> Self:
+        return type(self)(*structure, **elements | {"sites": self.sites})
 
     def _subtree(self, name: str) -> set[str]:
         """Names of a link and its descendants."""
@@ -387,6 +397,16 @@ class Tree(Model):
         size = self.batch_size() or 1
         tail = f", {size} of it" if size > 1 else ""
         return f"lierb.Mechanism: {' and '.join(parts)}{tail}", rows
+
+
+def _sites_of(sites: Mapping[str, Any]) -> dict[str, Site]:
+    for name, site in sites.items():
+        if not (isinstance(site, tuple) and len(site) == 2):
+            raise ArgumentError(f"site {name}: {brief(site)}; expected the link's name and a pose")
+    return {
+        name: Site(link, as_numbers(f"site {name}: pose", pose, (4, 4)))
+        for name, (link, pose) in sites.items()
+    }
 
 
 def _all_of(argument: str, given: Any, kind: type, expected: str) -> Any:

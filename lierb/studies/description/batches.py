@@ -24,7 +24,7 @@ from lierb.studies.description.study_tables import NOTHING, StudyTables
 from lierb.support.arrays import Array
 
 Draws = dict[str, dict[str, Array]]  # draws by section and key
-Elements = dict[str, list[Any]]  # elements by list of the problem
+Elements = dict[str, Any]  # lists of elements by list of the problem
 
 
 @dataclass(frozen=True)
