@@ -491,9 +491,6 @@ LINES = {
     "planar": ({"kind": "planar", "inside": '<limit lower="0" upper="0"/>'},
         "joint hinge: limits 0 … 0, which a planar joint does not have",
     ),
-    "planar damping": ({"kind": "planar", "inside": '<dynamics damping="2"/>'},
-        "joint hinge_TX: stiffness and damping of a slide joint",
-    ),
     "floating": ({"kind": "floating", "inside": '<dynamics damping="2"/>'},
         "joint hinge: damping 2 and friction 0",
     ),
@@ -501,6 +498,13 @@ LINES = {
         "gravity, which is an argument",
     ),
 }  # fmt: skip
+
+
+def test_from_urdf_keeps_the_damping_of_a_planar_joint(tmp_path):
+    inside = '<dynamics damping="2"/>'
+    mechanism, left_out = read(pair(tmp_path, kind="planar", inside=inside))
+    assert [force.parameters["damping"] for force in mechanism.forces] == [2.0] * 3
+    assert len(left_out) == 1  # links without mass between two slides and a hinge
 
 
 @pytest.mark.parametrize("what", LINES)

@@ -153,6 +153,8 @@ def summary_table(output: Output, metadata: str, model: Model) -> pa.Table:
     if plan.has_lane_clocks:
         columns |= {name: numbers(output.of_lanes(name).astype(np.int64)) for name in COUNTS}
         columns["dt_last"] = numbers(output.of_lanes("dt_last"))
+    if plan.method.iterates:
+        columns["iterations"] = numbers(output.turns.astype(np.int64))
     for (measure, how), column in zip(KEPT, each_row(output.kept), strict=True):
         columns[f"{measure.name}_{how}"] = column
     observables = model.observables

@@ -117,7 +117,13 @@ class Output:
     @property
     def observed(self) -> Array:
         """KEEPS of each observable, then JOINT_KEPT of each joint, [column][trajectory]."""
-        return self.summary[SUMMARY.count : lane_column(self.plan)]
+        return self.summary[SUMMARY.count : lane_column(self.plan) - self.plan.method.iterates]
+
+    @property
+    def turns(self) -> Array:
+        """Turns of all iterations of a method that iterates, [trajectory]."""
+        turns: Array = self.summary[lane_column(self.plan) - 1]
+        return turns
 
     @cached_property
     def status(self) -> NDArray[np.int8]:

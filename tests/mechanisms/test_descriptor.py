@@ -84,6 +84,7 @@ def test_steps_satisfy_all_rows(method, shape, cspace):
     for k in range(3):
         made = stepper.step(system, body, state, Interval(k * h, h, h))
         assert float(made.unsolved + 0.0) == 0.0
+        assert 2.0 <= float(made.turns + 0.0) <= 8.0
         state, constraints = made.state, form.constraints(made.state.chart)
         assert np.abs(floats(constraints.values)).max() < 1e-12
         if method in ("RATTLie", "alpha2"):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from lierb.kernels.groups.coefficients import TINY
-from lierb.kernels.loops.record import Record, are_finite, with_all_parts, with_rank
+from lierb.kernels.loops.record import Record, are_finite, with_all_parts, with_rank, with_turns
 from lierb.kernels.numbers.arithmetic import (
     all_lanes,
     assumptions,
@@ -71,7 +71,8 @@ def _advanced(
     invariant: tuple[int, ...],
 ) -> tuple[State, Record]:
     body = with_rank(plan, body, record)
-    moved, singular, unsolved = _stepped(plan, body, state, time, h, invariant)
+    moved, singular, unsolved, turns = _stepped(plan, body, state, time, h, invariant)
+    record = with_turns(record, turns, record.status == OK)
     moved, seen, singular = with_all_parts(plan, moved), values(moved), values(singular)
     # One angle that is not finite makes all of Q so.
     turns, places = system_of(plan).turns_and_places(seen.chart)
@@ -113,10 +114,10 @@ def _advanced(
 
 def _stepped(
     plan: AnyPlan, body: Any, state: State, time: Any, h: Any, invariant: tuple[int, ...]
-) -> tuple[State, Any, Any]:
+) -> tuple[State, Any, Any, Any]:
     """Make a step with the invariant components of V as structural zeros.
 
-    Return the state, and 1 where the step is singular, and where it is unsolved.
+    Return the state, 1 where the step is singular, where it is unsolved, and its turns.
     """
     before = state.v_or_mu
     moving = tuple(ZERO if i in invariant else v for i, v in enumerate(before))
@@ -125,7 +126,7 @@ def _stepped(
     moved, singular = made.state, made.singular
     pairs = zip(before, moved.v_or_mu, strict=True)
     after = tuple(v if i in invariant else x for i, (v, x) in enumerate(pairs))
-    return moved._replace(v_or_mu=after), singular, made.unsolved
+    return moved._replace(v_or_mu=after), singular, made.unsolved, made.turns
 
 
 def has_invariant(plan: AnyPlan, h: Any) -> Any:
@@ -168,7 +169,7 @@ def advance_small_angles(
     if not takes_small_angle_steps(plan):
         return state, all_lanes(h < h)  # never
     with assumptions(h) as conditions:
-        moved, singular, _ = _stepped(plan, body, state, time, h, system_of(plan).invariant)
+        moved, singular, _, _ = _stepped(plan, body, state, time, h, system_of(plan).invariant)
     _, places = system_of(plan).turns_and_places(moved.chart)
     fine = are_finite(*moved.v_or_mu, *places, moved.work) & (singular <= 0.5)
     for condition in conditions:  # false for an angle that is not finite

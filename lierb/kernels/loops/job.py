@@ -19,7 +19,7 @@ UNSEEN, RESUMED = -1, -2
 TWISTS, POSES, BODIES = range(3)  # what differs between trajectories; each includes those before
 
 RESULTS = {
-    "summary": "[SUMMARY, KEEPS of each observable, JOINT_KEPT of each joint][trajectory]",
+    "summary": "[SUMMARY, KEEPS of each observable, JOINT_KEPT of each joint, turns][trajectory]",
     "history": "[`history_measures`, observables, JOINT_ERRORS of each joint][time][trajectory]",
     **dict.fromkeys(
         (field.name for field in POSE_AND_TWIST.fields),

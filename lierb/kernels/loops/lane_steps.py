@@ -19,6 +19,7 @@ from lierb.kernels.loops.record import (
     observe,
     with_all_parts,
     with_rank,
+    with_turns,
     without_measures,
 )
 from lierb.kernels.loops.states_in_memory import (
@@ -119,6 +120,7 @@ class Made(NamedTuple):
 
     slopes : slopes of the stages, if there is a continuous extension.
     singular : 1 in a singular configuration.   unsolved : 1 where an iteration has not converged.
+    turns : number of its turns.
     square, correction : squares of the error and of the stabilisation's correction, relative to
         the tolerances.
     nearer : longest step by the rates at the start, s; structurally zero if nothing bounds it.
@@ -128,6 +130,7 @@ class Made(NamedTuple):
     slopes: Any
     singular: Any
     unsolved: Any
+    turns: Any
     square: Any
     correction: Any
     nearer: Any
@@ -156,7 +159,8 @@ def attempted(plan: AnyPlan, body: Any, lanes: Lanes, trial: Trial, limits: Tole
             nearer = ZERO if longest is None else longest
     slopes = made.slopes if plan.is_continuous else ()
     moved = with_all_parts(plan, made.state)
-    return Made(moved, slopes, values(made.singular), made.unsolved, square, correction, nearer)
+    singular, unsolved, turns = values(made.singular), made.unsolved, made.turns
+    return Made(moved, slopes, singular, unsolved, turns, square, correction, nearer)
 
 
 class Decision(NamedTuple):
@@ -199,7 +203,9 @@ def decided(
         plan, clock, trial, fine, singular, made.unsolved, square, longest, made.nearer, limits,
         active,
     )  # fmt: skip
-    return Decision(verdict.accepted, verdict.failed, lanes._replace(clock=verdict.clock))
+    record = with_turns(lanes.record, made.turns, active > 0.5)
+    after = lanes._replace(clock=verdict.clock, record=record)
+    return Decision(verdict.accepted, verdict.failed, after)
 
 
 def with_failures(lanes: Lanes, failed: Any, termination: Any) -> tuple[Lanes, Any]:

@@ -76,6 +76,7 @@ class Record(NamedTuple):
     dropped: Any  # rows dropped at the start; see `BodyConstants`
     observed: tuple[Kept, ...] = ()
     joints: tuple[Any, ...] = ()  # JOINT_KEPT of each joint of a mechanism: squares
+    turns: tuple[Any, ...] = ()  # number of turns of all iterations; empty for methods without any
 
 
 @lru_cache(64)
@@ -85,7 +86,7 @@ def carried_columns(plan: AnyPlan) -> Columns:
         Field("state", (system_of(plan).state.count,)), Field("kept", (len(KEPT),)),
         Field("first_energy"), Field("status"), Field("failed_step"), Field("dropped"),
         Field("flags"), Field("observed", (len(Kept._fields) * len(observables_of(plan)),)),
-        Field("joints", (joint_columns(plan),)),
+        Field("joints", (joint_columns(plan),)), Field("turns", (int(plan.method.iterates),)),
         Field("parts", (plan.directions * system_of(plan).state.count,)),
     )  # fmt: skip
     if not plan.has_lane_clocks:
@@ -115,7 +116,8 @@ def summary_columns(plan: AnyPlan) -> int:
 
 def lane_column(plan: AnyPlan) -> int:
     """Return the first column of LANE_SUMMARY in a summary, if lanes have separate clocks."""
-    return SUMMARY.count + len(KEEPS) * len(observables_of(plan)) + joint_columns(plan)
+    own = SUMMARY.count + len(KEEPS) * len(observables_of(plan)) + joint_columns(plan)
+    return own + plan.method.iterates
 
 
 def history_columns(plan: AnyPlan) -> int:
@@ -184,8 +186,14 @@ def initial_record(plan: AnyPlan, body: Any, state: State) -> Record:
         calls.set_exception_flags(nothing + float(calls.CLEAR))
     watched = nothing_kept(plan, nothing)
     joints = (nothing,) * joint_columns(plan)
-    kept = (nothing,) * len(KEPT)
-    return Record(kept, energy, nothing, nothing, nothing + dropped, watched, joints)
+    kept, turns = (nothing,) * len(KEPT), (nothing,) * plan.method.iterates
+    return Record(kept, energy, nothing, nothing, nothing + dropped, watched, joints, turns)
+
+
+def with_turns(record: Record, turns: Any, counts: Any) -> Record:
+    """Return the record with more turns of iterations, where the mask is true."""
+    more = tuple(where(counts, before + plain(turns), before) for before in record.turns)
+    return record._replace(turns=more)
 
 
 def resumed_state(plan: AnyPlan, body: Any, inputs: Any) -> State:
@@ -229,7 +237,8 @@ def load_carried(plan: AnyPlan, body: Any, carried: Any, first: Any) -> tuple[St
     observed = kept_of(parts["observed"])
     if plan.is_looped:
         in_memory(plan).load_state(body, carried, columns.count, first)
-    record = Record(parts["kept"], energy, status, step, dropped, observed, parts["joints"])
+    kept, joints, turns = (parts[name] for name in ("kept", "joints", "turns"))
+    record = Record(kept, energy, status, step, dropped, observed, joints, turns)
     if plan.calls_functions:
         (before,) = parts["flags"]
         # For lanes with separate clocks, exceptions are collected at the end of a trajectory.
@@ -245,13 +254,13 @@ def store_carried(
     plan: AnyPlan, body: Any, carried: Any, first: Any, state: State, record: Record
 ) -> None:
     """Store state, record and exception flags of a block, for the next call."""
-    kept, *numbers, observed, joints = record
+    kept, *numbers, observed, joints, turns = record
     flags = exception_flags(plan, record)
     for c, number in enumerate((*flatten(values(state)), *kept, *numbers, *flags)):
         store(carried, (c, first), number, plan.lanes)
     behind = carried_columns(plan)["observed"].start
     parts = parts_side_by_side(state, plan.directions) if plan.moving else []
-    for c, number in enumerate((*flatten((observed, joints)), *parts), behind):
+    for c, number in enumerate((*flatten((observed, joints, turns)), *parts), behind):
         store(carried, (c, first), number, plan.lanes)
     if plan.is_looped:
         in_memory(plan).store_state(body, carried, carried_columns(plan).count, first)

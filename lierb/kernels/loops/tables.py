@@ -205,6 +205,7 @@ def store_summary(plan: AnyPlan, body: Any, record: Record, summary: Any, column
     watched = (
         *(x for kept in r.observed for x in columns_of(kept)),
         *(sqrt(square) for square in r.joints),
+        *r.turns,
     )
     places = [*range(len(numbers)), *(SUMMARY.count + c for c in range(len(watched)))]
     scatter(summary, 1, [(c, column) for c in places], (*numbers, *watched), plan.lanes)

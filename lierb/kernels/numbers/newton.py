@@ -30,10 +30,14 @@ Residual = Callable[[Vec], Vec]
 
 
 class Solved(NamedTuple):
-    """The unknowns solve the equations of a step.   unsolved : 1 where they have not converged."""
+    """The unknowns solve the equations of a step.
+
+    unsolved : 1 where they have not converged.   turns : number of changes of the unknowns.
+    """
 
     unknowns: Vec
     unsolved: Any
+    turns: Any
 
 
 def linearised(residual: Residual, at: Vec, left_out: Vec = ()) -> tuple[Vec, Factored]:
@@ -62,10 +66,10 @@ def newton(residual: Residual, start: Vec, like: Any) -> Solved:
         excess = total(change) - HALF_THE_DIGITS * total(after)
         return (after, excess), excess > 0.0
 
-    begun = plain(start)
-    (unknowns, excess), _, _ = repeat((begun, 0.0), turn, MOST_TURNS, plain(like))
+    begun = without_derivatives(start)
+    (unknowns, excess), _, turns = repeat((begun, 0.0), turn, MOST_TURNS, without_derivatives(like))
     solution = _with_derivatives(residual, unknowns, start)
-    return Solved(solution, _unsolved(excess <= 0.0, total(begun)))
+    return Solved(solution, _unsolved(excess <= 0.0, total(begun)), turns)
 
 
 def simplified_newton(
@@ -76,26 +80,26 @@ def simplified_newton(
     size : size of a change, relative to that of the unknowns.   left_out : as for `Factored`;
     equations that depend on others, and unknowns that keep their numbers at the start.
     """
-    begun = plain(start)
+    begun = without_derivatives(start)
     found, factored = linearised(residual, begun, left_out)
     change = factored.solve(values(found))
-    first = plain(size(change))
+    first = without_derivatives(size(change))
 
     def turn(numbers: tuple[Vec, Any]) -> tuple[Any, Any]:
         unknowns, before = numbers
-        change = factored.solve(plain(residual(unknowns)))
-        now = plain(size(change))
+        change = factored.solve(without_derivatives(residual(unknowns)))
+        now = without_derivatives(size(change))
         goes_on = (now > ROUNDING) & ((now > NEARLY) | (now < HALF * before))
         return (sub(unknowns, change), now), goes_on
 
     start_of_turns = sub(begun, change), first
-    (unknowns, last), _, _ = repeat(start_of_turns, turn, MOST_TURNS, plain(like))
+    (unknowns, last), _, turns = repeat(start_of_turns, turn, MOST_TURNS, without_derivatives(like))
     unknowns = tuple((x + NOTHING) - NOTHING for x in unknowns)
     solution = _with_derivatives(residual, unknowns, start, left_out)
-    return Solved(solution, _unsolved(last <= NEARLY, first))
+    return Solved(solution, _unsolved(last <= NEARLY, first), 1.0 + turns)
 
 
-def plain(numbers: Any) -> Any:
+def without_derivatives(numbers: Any) -> Any:
     """Return numbers, `lifted` or not, without derivatives."""
     return values(values(numbers))
 

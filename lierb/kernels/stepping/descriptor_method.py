@@ -89,7 +89,8 @@ class DescriptorMethod(UnestimatedMethod):
         rate, multipliers = solved.unknowns[:n], solved.unknowns[n : n + m]
         carried = (*rate, *self.own(state, at.h, x, rate), *multipliers)
         moved = state._replace(chart=chart, v_or_mu=velocity, carried=carried)
-        return ended(with_work(form, state, moved, at), form.singular(dependent), solved.unsolved)
+        moved, singular = with_work(form, state, moved, at), form.singular(dependent)
+        return ended(moved, singular, solved.unsolved, solved.turns)
 
 
 def with_work(form: Descriptor, before: State, after: State, at: Interval) -> State:

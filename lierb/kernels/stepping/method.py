@@ -33,7 +33,7 @@ class Step(NamedTuple):
     slopes : rates of the stages, for error estimates and dense output.
     singular : 1 where a stage has a singular configuration.
     stabilised : the state at the end, with the corrections by stabilisation.
-    unsolved : 1 where an iteration has not converged.
+    unsolved : 1 where an iteration has not converged.   turns : number of its turns.
     """
 
     state: State
@@ -41,6 +41,7 @@ class Step(NamedTuple):
     singular: Any
     stabilised: Stabilised
     unsolved: Any = ZERO
+    turns: Any = ZERO
 
 
 class Defect(NamedTuple):

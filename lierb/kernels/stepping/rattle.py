@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from lierb.kernels.numbers.arithmetic import absolute, fma, where
-from lierb.kernels.numbers.newton import simplified_newton
+from lierb.kernels.numbers.newton import Solved, simplified_newton
 from lierb.kernels.numbers.vec import Vec, add, axpy, neg, scale, sub
 from lierb.kernels.numbers.zero import ZERO
 from lierb.kernels.stepping.method import Interval, Step
@@ -41,7 +41,8 @@ class Rattle(UnestimatedMethod):
         moves = absolute(h) > 0.0  # false for idle lanes
         first = form.applied(state.chart, state.v_or_mu, at.time)
         momentum = axpy(0.5 * h, first.wrench, form.momentum(state.v_or_mu))
-        x, unsolved, dependent = displacement(form, state, momentum, h)
+        solved, dependent = displacement(form, state, momentum, h)
+        x = solved.unknowns[: form.width]
         chart, inverse = form.moved(state.chart, x), 1.0 / where(moves, h, 1.0)
         arrived = scale(inverse, form.pulled(neg(x), form.momentum(x)))
         consistent = form.consistent(form.constraints(chart), dependent)
@@ -61,11 +62,11 @@ class Rattle(UnestimatedMethod):
             moved = moved._replace(work=fma(0.5 * h, first.power + power, state.work))
         if system.plan.has_lane_clocks:
             moved = where(moves, moved, state)
-        return ended(moved, form.singular(dependent), unsolved)
+        return ended(moved, form.singular(dependent), solved.unsolved, solved.turns)
 
 
-def displacement(form: Descriptor, state: State, momentum: Vec, h: Any) -> tuple[Vec, Any, Vec]:
-    """Return X of a step, 1 where the iteration has not converged, and the rows left out.
+def displacement(form: Descriptor, state: State, momentum: Vec, h: Any) -> tuple[Solved, Vec]:
+    """Return X and Λ of a step, and the rows left out.
 
     momentum : M V₀ + h/2 W(C₀).
     """
@@ -84,5 +85,4 @@ def displacement(form: Descriptor, state: State, momentum: Vec, h: Any) -> tuple
 
     guess = (*scale(h, state.v_or_mu), *(ZERO,) * form.rows)
     like = state.v_or_mu[0] + 0.0 * h
-    unknowns, unsolved = simplified_newton(residual, guess, size, like, dependent)
-    return unknowns[:n], unsolved, dependent
+    return simplified_newton(residual, guess, size, like, dependent), dependent

@@ -44,8 +44,8 @@ class Shake(UnestimatedMethod):
         form = descriptor_of(system, body)
         wrench = form.applied(state.chart, state.v_or_mu, at.time).wrench
         momentum = axpy(0.5 * at.h, wrench, form.momentum(state.v_or_mu))
-        x, unsolved, _ = displacement(form, state, momentum, at.h)
-        return state._replace(carried=(*x, unsolved))
+        solved, _ = displacement(form, state, momentum, at.h)
+        return state._replace(carried=(*solved.unknowns[: form.width], solved.unsolved))
 
     def step(
         self, system: Any, body: Any, state: State, at: Interval, all_stages: bool = False
@@ -57,10 +57,12 @@ class Shake(UnestimatedMethod):
         wrench = form.applied(there.chart, velocity, at.time + at.span).wrench
         before = scale(inverse, form.pulled(neg(x), form.momentum(x)))
         momentum = axpy(at.h, wrench, before)
-        after, unsolved, dependent = displacement(form, there, momentum, at.h)
+        solved, dependent = displacement(form, there, momentum, at.h)
+        after = solved.unknowns[: form.width]
         momenta = add(before, scale(inverse, form.pulled(after, form.momentum(after))))
         mass = Factored([list(column) for column in form.mass_matrix()])
         velocity = mass.solve(scale(0.5, momenta))
-        unsolved = maximum(unsolved, failed)
+        unsolved = maximum(solved.unsolved, failed)
         moved = there._replace(v_or_mu=velocity, carried=(*after, unsolved))
-        return ended(with_work(form, state, moved, at), form.singular(dependent), unsolved)
+        moved, singular = with_work(form, state, moved, at), form.singular(dependent)
+        return ended(moved, singular, unsolved, solved.turns)

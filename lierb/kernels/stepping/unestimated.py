@@ -38,6 +38,6 @@ class UnestimatedMethod:
         return self.step(system, body, state, at.part(theta)).state
 
 
-def ended(state: State, singular: Any, unsolved: Any) -> Step:
+def ended(state: State, singular: Any, unsolved: Any, turns: Any) -> Step:
     """Return the step that ends in a state."""
-    return Step(state, Slopes(), singular, Stabilised(state), unsolved)
+    return Step(state, Slopes(), singular, Stabilised(state), unsolved, turns)

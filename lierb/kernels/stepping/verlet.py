@@ -41,20 +41,21 @@ class Verlet(UnestimatedMethod):
     def step(
         self, system: Any, body: Any, state: State, at: Interval, all_stages: bool = False
     ) -> Step:
-        unsolved, time = ZERO, at.time
+        unsolved, turns, time = ZERO, ZERO, at.time
         for share in self.scheme.shares:
             part = at.part(share)._replace(time=time)
-            state, failed = _substep(system, body, state, part)
-            unsolved, time = maximum(unsolved, failed), fma(share, at.span, time)
-        return ended(state, ZERO, unsolved)
+            state, failed, more = _substep(system, body, state, part)
+            unsolved, turns = maximum(unsolved, failed), turns + more
+            time = fma(share, at.span, time)
+        return ended(state, ZERO, unsolved, turns)
 
 
-def _substep(system: Subgroup, body: Any, state: State, at: Interval) -> tuple[State, Any]:
-    """Return the state after a step of h, and 1 where the iteration has not converged."""
+def _substep(system: Subgroup, body: Any, state: State, at: Interval) -> tuple[State, Any, Any]:
+    """Return the state after h, 1 where the iteration has not converged, and its turns."""
     half, chart = 0.5 * at.h, state.chart
     first = _push(system, body, chart, state.v_or_mu, at.time)
     momentum = axpy(half, first.wrench, state.v_or_mu)
-    velocity, arrived, unsolved = _drift(system, body, momentum, at.h)
+    velocity, arrived, unsolved, turns = _drift(system, body, momentum, at.h)
     chart = system.moved(chart, scale(half, velocity))
     last = _push(system, body, chart, arrived, at.time + at.span)
     if any(element.depends_on_velocity for element in system.plan.acting):
@@ -63,7 +64,7 @@ def _substep(system: Subgroup, body: Any, state: State, at: Interval) -> tuple[S
         last = _push(system, body, chart, predicted, at.time + at.span)
     mu = axpy(half, last.wrench, arrived)
     work = fma(half, first.power + last.power, state.work) if system.plan.does_work else ZERO
-    return state._replace(chart=chart, v_or_mu=mu, work=work), unsolved
+    return state._replace(chart=chart, v_or_mu=mu, work=work), unsolved, turns
 
 
 def _push(system: Subgroup, body: Any, chart: Chart, mu: Vec, time: Any) -> Applied:
@@ -79,24 +80,24 @@ def _push(system: Subgroup, body: Any, chart: Chart, mu: Vec, time: Any) -> Appl
     return Applied(projected, applied.power)
 
 
-def _drift(system: Subgroup, body: Any, momentum: Vec, h: Any) -> tuple[Vec, Vec, Any]:
+def _drift(system: Subgroup, body: Any, momentum: Vec, h: Any) -> tuple[Vec, Vec, Any, Any]:
     """Solve Nᵀ dexp⁻ᵀ_{hξ} Mξ = momentum.
 
-    Return ξ, Nᵀ dexp⁻ᵀ_{−hξ} Mξ, and 1 where the iteration has not converged.
+    Return ξ, Nᵀ dexp⁻ᵀ_{−hξ} Mξ, 1 where the iteration has not converged, and its turns.
     """
     guess = system.velocity(body, momentum)
     if subgroup.is_commutative(system.slots):
-        return guess, momentum, ZERO
+        return guess, momentum, ZERO, ZERO
     start, known = (subgroup.coordinates(system.slots, x) for x in (guess, momentum))
 
     def residual(nu: Vec) -> Vec:
         pulled = _pulled(system, body, nu, h)
         return tuple(x - y for x, y in zip(pulled, known, strict=True))
 
-    nu, unsolved = newton(residual, start, like=start[0] + 0.0 * h)
+    nu, unsolved, turns = newton(residual, start, like=start[0] + 0.0 * h)
     arrived = _pulled(system, body, nu, -h)
     mu = tuple(arrived[slot] if slot >= 0 else ZERO for slot in system.slots)
-    return subgroup.lifted(system.slots, nu, body.pitch), mu, unsolved
+    return subgroup.lifted(system.slots, nu, body.pitch), mu, unsolved, turns
 
 
 def _pulled(system: Subgroup, body: Any, nu: Vec, h: Any) -> Vec:

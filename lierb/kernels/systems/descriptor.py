@@ -24,7 +24,7 @@ from lierb.kernels.mechanics.saddle import (
 )
 from lierb.kernels.numbers.arithmetic import any_lanes, branch, fma, sqrt, where
 from lierb.kernels.numbers.elimination import Factored
-from lierb.kernels.numbers.newton import plain, total
+from lierb.kernels.numbers.newton import total, without_derivatives
 from lierb.kernels.numbers.vec import (
     ZERO6,
     Mat,
@@ -87,11 +87,11 @@ class Descriptor:
         """
         if not self.may_depend:
             return ()
-        dropped = plain(self.body.dropped)
+        dropped = without_derivatives(self.body.dropped)
 
         def found() -> Vec:
-            rows = [plain(row) for row in constraints.jacobian]
-            mass = Factored([list(plain(column)) for column in self.mass_matrix()])
+            rows = [without_derivatives(row) for row in constraints.jacobian]
+            mass = Factored([list(without_derivatives(column)) for column in self.mass_matrix()])
             columns = [mass.solve(row) for row in rows]
             schur = [[dot(row, columns[j]) for j in range(i + 1)] for i, row in enumerate(rows)]
             mobilities = [line[-1] for line in schur]
@@ -108,8 +108,8 @@ class Descriptor:
         """
         if not dependent:
             return ZERO
-        changes = is_other_rank(sum(dependent, start=ZERO), plain(self.body.dropped))
-        return where(changes, 1.0, 0.0 * plain(self.body.dropped))
+        changes = is_other_rank(sum(dependent, start=ZERO), without_derivatives(self.body.dropped))
+        return where(changes, 1.0, 0.0 * without_derivatives(self.body.dropped))
 
     def momentum(self, velocity: Vec) -> Vec:
         """Return M V."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, fields
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar
 
 Stages = tuple[tuple[float, ...], ...]  # rows of weights of the stages before
 
@@ -41,6 +41,7 @@ class Scheme:
 
     embedded: Embedded | None = None
     extension: Extension | None = None
+    iterates: ClassVar[bool] = False  # True if a step solves equations by iteration
 
     @cached_property
     def _digest(self) -> int:
@@ -150,6 +151,7 @@ class VerletScheme(Scheme):
 
     shares: tuple[float, ...]
 
+    iterates = True
     __hash__ = Scheme.__hash__
 
     @property
@@ -161,6 +163,7 @@ class VerletScheme(Scheme):
 class RattleScheme(Scheme):
     """RATTLE on a Lie group has no coefficients."""
 
+    iterates = True
     __hash__ = Scheme.__hash__
 
     @property
@@ -172,6 +175,7 @@ class RattleScheme(Scheme):
 class ShakeScheme(Scheme):
     """SHAKE on a Lie group has no coefficients."""
 
+    iterates = True
     __hash__ = Scheme.__hash__
 
     @property
@@ -189,6 +193,7 @@ class BLieDFScheme(Scheme):
 
     order: int
 
+    iterates = True
     __hash__ = Scheme.__hash__
 
     @property
@@ -211,6 +216,7 @@ class AlphaScheme(Scheme):
     rho: float
     index: int
 
+    iterates = True
     __hash__ = Scheme.__hash__
 
     @property
