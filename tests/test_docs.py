@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 import readme
-from cases import slow_but, tiered
+from cases import tiered
 
 import lierb
 
@@ -34,7 +34,7 @@ KERNELS = (
     "from_mujoco",
     "install",
 )  # have some of their own
-LONG = ("derivatives", "fitting", "forces")  # have many
+LONG = ("control", "derivatives", "fitting", "forces", "from_scipy")  # have many
 QUICK = [page for page in PAGES if page.stem not in KERNELS]
 SLOW_PAGES = [page for page in PAGES if page.stem not in LONG]
 
@@ -112,11 +112,16 @@ def _with_examples() -> list[str]:
     return sorted(name.removesuffix(".__init__") for name in names)
 
 
-SLOW = {"lierb.analysis.paper"}  # all of its section 5
+SLOW = ("lierb.analysis.paper",)  # all of its section 5
+# tests/derivatives has the same with other kernels
+LONG_MODULES = tuple(
+    f"lierb.analysis.{name}" for name in ("adjoint", "fit_result", "many_fits", "propagation")
+)
+QUICK_MODULES = [name for name in _with_examples() if name not in (*SLOW, *LONG_MODULES)]
 
 
 @pytest.mark.usefixtures("papers_kernels")
-@pytest.mark.parametrize("name", slow_but(_with_examples(), *{*_with_examples()} - SLOW))
+@pytest.mark.parametrize("name", tiered(_with_examples(), QUICK_MODULES, SLOW))
 def test_examples_of_docstrings_run(name):
     outcome = doctest.testmod(importlib.import_module(name))
     assert outcome.attempted > 0

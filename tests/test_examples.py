@@ -34,7 +34,7 @@ def example(name: str) -> dict:
         plt.close("all")
 
 
-@pytest.mark.parametrize("name", tiered(NAMES, QUICK, ("four_bar",)))
+@pytest.mark.parametrize("name", tiered(NAMES, QUICK, ()))
 def test_example_prints_and_draws(name):
     """And no trajectory of it fails."""
     script = example(name)
@@ -68,7 +68,7 @@ def test_double_pendulum_moves_as_lagrange_says():
     assert 0.3 < 1.0 / script["rate"] < 0.8
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_four_bar_is_where_circles_meet():
     """Two circles, round the crank's end and the rocker's pivot, meet where these bars do."""
     script = example("four_bar")

@@ -719,7 +719,7 @@ def test_joints_compose_only_if_their_forces_can_act(tmp_path):
     assert len(with_stops.forces) == 1
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_c24_a_mobile_base_may_have_carriages_without_mass(tmp_path):
     """Genesis#3185, drake#13903, pinocchio#60: slides of a base, merged by hand or refused.
 

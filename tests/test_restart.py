@@ -504,7 +504,7 @@ def hanging(is_rebuilt: bool) -> str:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("run_of", [driven, hanging])
+@pytest.mark.parametrize("run_of", [pytest.param(driven, marks=pytest.mark.long), hanging])
 def test_built_again_it_goes_on_to_the_bits_of_one_run(run_of):
     assert run_of(is_rebuilt=True) == run_of(is_rebuilt=False)
 

@@ -305,7 +305,11 @@ DOUBLE = {
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("tables", "link"), [(PENDULUM, ""), (DOUBLE, "lower.")], ids=["one", "two"]
+    ("tables", "link"),
+    [
+        pytest.param(PENDULUM, "", id="one"),
+        pytest.param(DOUBLE, "lower.", id="two", marks=pytest.mark.long),
+    ],
 )
 def test_derivatives_by_sampled_numbers_are_differences_of_runs(tables, link):
     """Central differences by 1e-3 std of 0.1: truncated at 1e-8 relative, 1e-7 with curvature."""

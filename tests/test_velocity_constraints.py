@@ -129,7 +129,7 @@ def turntable(moments) -> lierb.Mechanism:
     )
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_ball_on_a_turntable_moves_in_circles():
     """Right: its centre has the angular velocity 2/7 of the table's (Earnshaw, 1844), and friction.
 

@@ -114,7 +114,8 @@ def test_violations_are_counted_and_can_be_repeated(tmp_path):
     "kinds",
     [
         pytest.param(FOLDERS, marks=pytest.mark.long, id="folders"),
-        pytest.param(PROCESSES, id="processes"),
+        pytest.param(PROCESSES, marks=pytest.mark.long, id="processes"),
+        pytest.param(("interrupts", "cache files"), id="of two kinds"),
     ],
 )
 def test_some_trials_of_each_kind_show_no_violation(kinds, tmp_path):

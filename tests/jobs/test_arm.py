@@ -7,7 +7,7 @@ import pytest
 
 from .page import names_of
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.long
 STEP = 2e-3  # s, of the differences
 GRAVITY = np.array((0.0, 0.0, -9.81))  # m/s²
 

@@ -7,7 +7,7 @@ import pytest
 
 from .page import names_of
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.long
 
 
 @pytest.fixture(scope="module")

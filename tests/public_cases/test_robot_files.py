@@ -84,7 +84,7 @@ def test_c20_links_of_files_may_be_point_masses(tmp_path):
     angles = {"upper": start[0], "lower": start[1] - start[0]}
     pose0 = machine.pose(angles)
     twist0 = machine.twist({"upper": start[2], "lower": start[3] - start[2]}, pose0)
-    result = lierb.integrate(machine, pose0=pose0, twist0=twist0, rtol=1e-10, t_end=1.0)
+    result = integrate(machine, pose0=pose0, twist0=twist0, dt=1e-3, t_end=1.0)
     for name, angle, rate in zip(machine.names, right[:2], right[2:], strict=True):
         R = summed(result, f"{name}.rotation").reshape(3, 3)
         np.testing.assert_allclose(np.arctan2(-R[0, 2], R[0, 0]), angle, rtol=0, atol=1e-8)

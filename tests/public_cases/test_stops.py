@@ -47,7 +47,7 @@ METHODS = [
 ]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("rtol", [1e-6, 1e-8])
 @pytest.mark.parametrize("method", METHODS)
 def test_c49b_wide_stops_turn_every_wheel_back(method, rtol):
