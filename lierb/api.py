@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lierb.errors import ArgumentError, InconsistentStateWarning, brief
-from lierb.kernels.systems.plan import Stabilisation
+from lierb.kernels.systems.plan import AnyPlan, Stabilisation
 from lierb.methods import Method
 from lierb.model.base import Model
 from lierb.model.functions.events import Event
@@ -323,12 +323,24 @@ def start_check(prepared: Ready, stacklevel: int) -> engine.StartCheck | None:
     return check
 
 
+_checked_plans: set[AnyPlan] = set()
+
+
 def report_start(prepared: Ready, stacklevel: int) -> None:
-    """Check a start that the kernels do not check."""
-    model, options = prepared.model, prepared.options
-    if prepared.is_checked and not model.flags_starts:
-        error = model.violation(prepared.pose0, prepared.twist0, options.timing.t0)
-        _report(error, options, stacklevel + 1)
+    """Check a start that the kernels do not check.
+
+    Of a plan that has not run yet, check the first start: its error need not wait for a kernel to
+    be compiled.
+    """
+    model, options, plan = prepared.model, prepared.options, prepared.plan
+    start = prepared.pose0, prepared.twist0, options.timing.t0
+    if not prepared.is_checked:
+        return
+    if not model.flags_starts:
+        _report(model.violation(*start), options, stacklevel + 1)
+    elif options.on_violation == "raise" and plan.rows and plan not in _checked_plans:
+        _report(model.violation(*start, number=0), options, stacklevel + 1)
+        _checked_plans.add(plan)
 
 
 def _report(error: ValueError | None, options: Options, stacklevel: int) -> None:

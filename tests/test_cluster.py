@@ -367,7 +367,7 @@ def test_command_joins_a_scheduler(client, tmp_path):
     assert hashes(tmp_path / "out") == hashes(tmp_path / "alone")
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_ctrl_c_in_a_terminal_reaches_no_worker(tmp_path, interruptible):
     process, out = start_long(tmp_path, "--workers", "2"), tmp_path / "out"
     os.killpg(process.pid, signal.SIGINT)  # a terminal sends it to all of them

@@ -118,7 +118,7 @@ def test_package_changes_where_the_page_says():
     assert {file for file in changed if file.startswith("lierb/")} == {*IN_PACKAGE}
 
 
-@pytest.mark.slow  # compiles two kernels
+@pytest.mark.long
 def test_diffs_add_what_they_say(copy):
     run(copy, "-c", SCRIPT)
 

@@ -8,6 +8,7 @@ from scipy.linalg import expm, logm
 from scipy.spatial.transform import Rotation
 
 import lierb
+from lierb.compiler.entries import kernels_loaded
 from lierb.errors import ArgumentError, LierbError, PoseError
 
 BODY = lierb.Body(2.5, [[1.2, 0.1, -0.2], [0.1, 1.0, 0.05], [-0.2, 0.05, 0.9]], (0.1, -0.2, 0.3))
@@ -463,3 +464,17 @@ def test_twist_may_be_left_out_for_a_start_from_rest():
     assert result.position[0, 2] == pytest.approx(-0.5 * 9.81, abs=1e-14)
     with pytest.raises(ArgumentError, match="give its twist0 too"):
         lierb.integrate(flight, pose0=result.end["pose0"], t0=1.0, dt=0.1, t_end=2.0)
+
+
+@lierb.observable
+def late(t):
+    return t
+
+
+def test_a_first_start_off_its_joint_is_refused_before_a_kernel_is_compiled():
+    before, off = kernels_loaded(), np.eye(4)
+    off[0, 3] = 0.5
+    problem = lierb.Problem(BODY, lierb.joints.hook(), observables=late())
+    with pytest.raises(PoseError, match="does not close the hook joint"):
+        lierb.integrate(problem, pose0=off, dt=0.01, t_end=0.1)
+    assert kernels_loaded() == before

@@ -256,7 +256,9 @@ def test_events_beyond_memory_are_told(monkeypatch):
 @pytest.mark.skipif(
     pa.default_memory_pool().backend_name != "mimalloc", reason="lierb asks NumPy for memory then"
 )
-@pytest.mark.parametrize("clock", [{"dt": 1e-3}, {"rtol": 1e-6}], ids=str)
+@pytest.mark.parametrize(
+    "clock", [{"dt": 1e-3}, pytest.param({"rtol": 1e-6}, marks=pytest.mark.long)], ids=str
+)
 def test_results_lie_in_arrows_pool(clock):
     """It keeps what is given back: a run that follows another one has no page faults."""
     before = pa.total_allocated_bytes()

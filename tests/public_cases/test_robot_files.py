@@ -179,7 +179,7 @@ HOPPER = """<mujoco><option gravity="0 0 -9.81" timestep="1e-4" integrator="RK4"
   </worldbody></mujoco>"""
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_c39_a_planar_hopper_flies_as_in_mujoco(tmp_path):
     """gymnasium and dm_control: roots of two slides and a hinge. Right: MuJoCo's RK4 at 0.1 ms."""
     machine = read_mjcf(tmp_path / "hopper.xml", HOPPER)

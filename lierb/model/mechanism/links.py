@@ -61,7 +61,7 @@ class Link(Represented):
 class Site(NamedTuple):
     """Named frame of a link, such as that of a tool or a sensor; it has no effect on the motion.
 
-    Parameters
+    Attributes
     ----------
     link : str
         Name of the link, or "ground".
