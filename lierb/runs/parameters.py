@@ -72,6 +72,8 @@ def chosen_parameters(
     """Return the parameters of an argument with their names. Raises ArgumentError."""
     expected = "names of parameters, such as omega0 or body.mass"
     names = (given,) if isinstance(given, str) else items_of(argument, given, expected)
+    if not names:  # most runs: all parameters of a model take longer than its checks
+        return ()
     known = parameters_by_name(model)
     parameters: dict[str, Parameter] = {}
     for name in names:

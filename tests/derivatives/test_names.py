@@ -260,3 +260,11 @@ def test_warnings_of_a_start_point_to_the_callers_line():
             problem, twist0=off, **RUN, check="warn", solver="saddle", with_respect_to="body.mass"
         )
     assert issued[0].filename == __file__
+
+
+def test_a_run_without_derivatives_lists_no_parameters(monkeypatch):
+    """Those of a hundred links would take longer than the run."""
+    from lierb.runs.parameters import chosen_parameters
+
+    monkeypatch.setattr("lierb.runs.parameters.parameters_by_name", None)
+    assert chosen_parameters(top()[0], ()) == ()
