@@ -73,7 +73,7 @@ class Output:
         results = (summary, history, tuple(states), multipliers, reactions, ends, rows, end)
         return cls(plan, clock, *results, {})
 
-    @property
+    @cached_property
     def links(self) -> int:
         return system_of(self.plan).links
 
@@ -94,7 +94,7 @@ class Output:
         )  # fmt: skip
         return states | {name: getattr(self, name) for name in names}
 
-    @property
+    @cached_property
     def rows(self) -> int:
         """Number of rows in the states of each link."""
         return len(self.states[0]) // self.links
