@@ -51,6 +51,7 @@ def readings(result) -> tuple[np.ndarray, np.ndarray]:
 POINT = np.array((0.2, -0.3, 0.5))
 
 
+@pytest.mark.slow
 def test_a_body_in_free_fall_feels_its_turns_alone():
     """Right: ω × (ω × p) + ω̇ × p about the centre of mass, with Euler's ω̇."""
     moments, omega, centre = np.array((0.3, 0.4, 0.6)), np.array((1.0, -2.0, 0.5)), (0.1, 0.2, -0.4)
@@ -69,6 +70,7 @@ def test_a_body_in_free_fall_feels_its_turns_alone():
 SPACES = ["SE3", pytest.param("reduced", marks=pytest.mark.slow)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("cspace", SPACES)
 def test_a_pendulum_feels_gravity_and_its_swing(cspace):
     """Frames that no axis is aligned with. Right: α = (c × m g)·n / I_n, and p's motion."""

@@ -170,6 +170,7 @@ def jet(t, R, r, omega, v, params):
     return (0.0, 0.0, 0.0), (0.0, 0.0, on * params.thrust)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "options",
     [{"dt": 0.01}, pytest.param({"rtol": 1e-12, "method": "DOP853"}, marks=pytest.mark.long)],
@@ -229,6 +230,7 @@ def test_mass_may_be_an_extra_state():
     )  # rounding of the state
 
 
+@pytest.mark.slow
 def test_negative_mass_ends_a_trajectory():
     rocket = hull(shrinking(start=[0.15, 2.0]))
     with pytest.warns(lierb.errors.FailedTrajectoryWarning):

@@ -24,6 +24,7 @@ LOWER_PAIRS = (
 COARSE = 0.05  # s, in which the weightless box turns by 0.4 rad
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", tiered(LOWER_PAIRS, ["cylindrical"], []))
 def test_joints_but_screws_are_kept_in_coarse_steps(name):
     """V̇ and λ of the saddle point, on all six coordinates: nothing else holds the joint.
@@ -46,6 +47,7 @@ def test_joints_but_screws_are_kept_in_coarse_steps(name):
     assert found.rotation_exact
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("solver", ["saddle", pytest.param("subgroup", marks=pytest.mark.long)])
 def test_a_screw_drifts_with_the_order(solver):
     """Its axis is kept; the coupling of turn and slide is off by a sixteenth at half the step."""

@@ -492,6 +492,7 @@ def height(r):
     return r[2]
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not NODE, reason="no node here")
 def test_player_draws_observables_and_the_axes_of_bodies():
     body = lierb.bodies.box((0.1, 0.2, 0.3), mass=1.0)

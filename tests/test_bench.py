@@ -99,6 +99,7 @@ def test_speeds_are_of_all_sizes():
     assert speeds.max() / speeds.min() > 100
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("wanted", [1e-6, 1e-9])
 def test_a_tool_is_tuned_to_the_error_that_is_wanted(wanted):
     """A method of order 8 is tuned to the longest step that is accurate enough."""

@@ -90,6 +90,7 @@ def test_orders_are_those_of_the_methods(found, method, quantity):
     assert found.order(method, quantity=quantity) == pytest.approx(METHODS[method], rel=0.08)
 
 
+@pytest.mark.slow
 def test_errors_are_distances_from_the_reference(found, exact):
     result = lierb.integrate(box_top(), twist0=twists(), dt=DTS[-1], t_end=T_END)
     row = found.table.to_pylist()[-1]

@@ -109,6 +109,7 @@ def test_bits_do_not_depend_on_place_in_batch(expected):
     np.testing.assert_array_equal(_bits(_run(TWISTS[order])), expected[order])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("lanes", tiered([1, 2, 4, 8], [1], [8]))
 def test_bits_do_not_depend_on_lanes(lanes, expected, monkeypatch):
     monkeypatch.setattr(problem_module, "DEFAULT_LANES", lanes)

@@ -112,7 +112,14 @@ def _with_examples() -> list[str]:
     return sorted(name.removesuffix(".__init__") for name in names)
 
 
-SLOW = ("lierb.analysis.paper",)  # all of its section 5
+SLOW = (  # with kernels that no quick test needs
+    "lierb.analysis.fitting",
+    "lierb.analysis.paper",
+    "lierb.analysis.propagation_result",
+    "lierb.model.forces.stiction",
+    "lierb.model.functions.turns",
+    "lierb.results.result",
+)
 # tests/derivatives has the same with other kernels
 LONG_MODULES = tuple(
     f"lierb.analysis.{name}" for name in ("adjoint", "fit_result", "many_fits", "propagation")
@@ -143,5 +150,6 @@ def test_cells_are_python(page):
         ast.parse(re.sub(r"^( *)[!%].*$", r"\1pass", code, flags=re.M))  # commands of IPython
 
 
+@pytest.mark.slow
 def test_readme_examples_print_what_they_say():
     readme.run()

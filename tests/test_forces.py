@@ -206,6 +206,7 @@ def test_gain_reduced_and_saddle_agree_under_forces(options):
         )
 
 
+@pytest.mark.slow
 def test_spring_off_the_centre_swings_harmonically():
     held = lierb.joints.prismatic(axis=(1.0, 2.0, 2.0))
     axis = np.array((1.0, 2.0, 2.0)) / 3.0
@@ -667,6 +668,7 @@ def joints_with_forces():
     } | {"inertia": inertia}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ACTING)
 def test_joint_forces_keep_account_of_energy(joints_with_forces, name):
     *_, drift = joints_with_forces[name]

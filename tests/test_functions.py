@@ -109,6 +109,7 @@ ALLOWED = {
 }
 
 
+@pytest.mark.slow
 def test_function_may_use_what_is_allowed():
     """All of them act on every body, in one kernel; in body k function k has another size."""
     sizes = np.eye(len(ALLOWED))

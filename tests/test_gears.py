@@ -64,6 +64,7 @@ def test_two_wheels_turn_by_their_ratio(cspace):
     assert machine.of_body(0).freedoms() == (1, 0)
 
 
+@pytest.mark.slow
 def test_a_rack_falls_with_its_pinion():
     """Slide by turn, m/rad. Right: (m r² + I) φ̈ = −m g r."""
     radius, mass, inertia = 0.05, 3.0, 0.02
@@ -195,6 +196,7 @@ OPTIONS = {
 SLOW = ["SE3"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("options", tiered(OPTIONS, ["reduced"], SLOW))
 def test_a_geared_arm_moves_as_scipy_says(options):
     """The gear's two joints share a link. Right: one coordinate, by SciPy."""

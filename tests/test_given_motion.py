@@ -45,6 +45,7 @@ OPTIONS = {
 SLOW = ["projected"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("options", tiered(OPTIONS, ["fixed"], SLOW))
 def test_a_driven_arm_follows_its_function_with_the_torque_of_newton(options):
     """Right: φ = A sin ωt, torque (I + m a²) φ̈ + m g a cos φ."""
@@ -71,6 +72,7 @@ def test_a_driven_arm_follows_its_function_with_the_torque_of_newton(options):
     assert np.max(column(result.summary, "energy_drift_max")) < 1e-7
 
 
+@pytest.mark.slow
 def test_angles_continue_over_whole_turns():
     """A motor of 20 rad/s in 2 s: six turns, compared with the pose up to whole turns."""
     machine = driven(swing=0.0, rate=[20.0, -3.0])

@@ -75,6 +75,7 @@ def test_warmup_knows_the_kernel_of_all_trees():
     assert (kernel.joint, kernel.cspace, lierb.info()["loaded"]) == ("tree", "reduced", before)
 
 
+@pytest.mark.slow
 def test_warmup_takes_a_joint_that_does_not_close_at_rest():
     held = lierb.joints.from_rows(["Q11"])
     (kernel,) = lierb.warmup(held, methods="Euler")

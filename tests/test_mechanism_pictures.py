@@ -44,6 +44,7 @@ def end_of(result: lierb.Result, link: str, point) -> np.ndarray:
 # ---- moving pictures ---------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_scene_has_links_and_joints_parents_first_and_loops_last(turning):
     (view,) = turning.animate().scene["views"]
     assert [body["name"] for body in view["bodies"]] == [*LINKS]

@@ -287,6 +287,7 @@ def test_bits_of_mechanisms_do_not_depend_on_parts(whole, tmp_path):
     assert bits(tmp_path / "out", "history") == bits(whole, "history")
 
 
+@pytest.mark.slow
 def test_resume_of_mechanisms_does_what_is_missing(whole, tmp_path):
     folder = tmp_path / "out"
     shutil.copytree(whole, folder)

@@ -838,6 +838,7 @@ def test_c41_the_root_of_a_urdf_floats(tmp_path):
     np.testing.assert_allclose(end - start, (0.0, 0.0, -(4.0 + 1.3) * 0.5 * 9.81), atol=1e-10)
 
 
+@pytest.mark.slow
 def test_c50_an_imported_arm_runs_on_so3xr3(tmp_path):
     """jaxsim#205: frames of files are not at centres of mass. Right: the c-spaces agree."""
     path = tmp_path / "legs.xml"

@@ -33,6 +33,7 @@ def rates(model):
     return np.concatenate([result.end["twist0"][name] for name in model.names], axis=-1)
 
 
+@pytest.mark.slow
 def test_with_numbers_equals_the_model_built_so():
     rods = lierb.Body(MASSES, ROD.inertia[None])
     points = np.stack([np.zeros(4), np.zeros(4), [-0.25, -0.2, -0.3, -0.1]], axis=-1)

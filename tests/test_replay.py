@@ -39,6 +39,7 @@ def assert_is_the_studys(dataset, replay, number) -> None:
             assert summary[name].to_pylist() == stored[name], name
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [0, 17])
 def test_replay_is_the_studys_bit_for_bit(dataset, number):
     replay = dataset.replay(number, cspace="SO3xR3", dt=2e-3)

@@ -252,6 +252,7 @@ def angle_of(result):
     return np.arctan2(turn[1, 0], turn[0, 0])
 
 
+@pytest.mark.slow
 def test_friction_that_is_nearly_coulombs_takes_few_steps():
     """I ω˙ = −τ ω/√(ω² + s²): φ = (I/2τ)(ω₀√(ω₀² + s²) + s² arsinh(ω₀/s)) at rest."""
     twist0 = HINGE.twist(omega=(0.0, 0.0, SPEED))
@@ -274,6 +275,7 @@ def dragged(angular):
     return lierb.Problem(body, lierb.joints.free(), forces=lierb.forces.drag(angular=angular))
 
 
+@pytest.mark.slow
 def test_explicit_run_that_stability_limits_says_so():
     with pytest.warns(lierb.errors.StiffStepWarning, match="stability, not accuracy, limits"):
         lierb.integrate(dragged(10.0), twist0=TUMBLING, rtol=1e-6, t_end=60.0)
@@ -341,6 +343,7 @@ GROUPS = (
 )  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", tiered(GROUPS, ["screw"], []))
 def test_joints_are_kept_in_coarse_steps(name):
     """By the saddle point on all six coordinates, in steps that turn the box by 0.4 rad."""

@@ -57,6 +57,7 @@ def wheel_by_scipy(t_end, **changed):
     return solve_ivp(slopes, (0, t_end), [0, 0], method="Radau", rtol=1e-10, atol=1e-14).y[:, -1]
 
 
+@pytest.mark.slow
 def test_a_block_sticks_and_slips():
     times = np.linspace(0.0, 20.0, 201)
     problem = lierb.Problem(
@@ -88,6 +89,7 @@ def test_a_block_sticks_and_slips():
     assert result.history.schema.field("brake").metadata[b"unit"] == b"m"
 
 
+@pytest.mark.slow
 def test_a_joint_holds_up_to_its_static_friction():
     """c28: at rest under 1.19 N m of 1.2 for 1000 s; 1.21 N m turn it."""
     torques = np.array([0.5, 1.19, 1.21])

@@ -271,6 +271,7 @@ SWINGING, ARM, HEAVY, FALL = 0.05, 0.15, 1.0, 9.81  # kg m², m, kg, m/s²
 T_END = 1.0
 
 
+@pytest.mark.slow
 def test_friction_too_stiff_for_the_step_warns_and_the_step_it_names_is_right():
     """A pendulum that friction stops, and holds where it has stopped."""
     body = lierb.Body(HEAVY, (0.02, 0.045, SWINGING), com=(ARM, 0.0, 0.0))

@@ -136,6 +136,7 @@ def test_observables_and_events_read_the_counted_angle():
     np.testing.assert_allclose(summed(result, "revolutions_max"), SWING / (2.0 * np.pi), rtol=1e-14)
 
 
+@pytest.mark.slow
 def test_a_continued_run_goes_on_counting():
     """Right: the bits of one run."""
     problem = mainspring()
@@ -147,6 +148,7 @@ def test_a_continued_run_goes_on_counting():
         np.testing.assert_array_equal(summed(second, name), summed(whole, name), err_msg=name)
 
 
+@pytest.mark.slow
 def test_part_of_a_batch_counts_as_before():
     problem = mainspring()
     alone = problem.of_body(2)

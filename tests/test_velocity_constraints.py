@@ -49,6 +49,7 @@ SLEIGH_OPTIONS = {
 }  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("options", tiered(SLEIGH_OPTIONS, ["SE3"], []))
 def test_chaplygins_sleigh_turns_until_it_glides_along_its_blade(options):
     """Right: the published solution, and the blade's force m (ẍ of the centre of mass)."""

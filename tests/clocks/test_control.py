@@ -188,6 +188,7 @@ def test_the_period_may_be_each_trajectorys_own():
     np.testing.assert_array_equal(column(summary, "ticks"), [10.0, 4.0, 4.0])
 
 
+@pytest.mark.slow
 def test_ticks_do_not_drift():
     """A thousand ticks of 0.1 s: the last one is at 99.9 s, not a rounding later."""
     summary = counted(counter(), 1, 99.95)
@@ -345,6 +346,7 @@ def test_noise_is_that_of_its_number_not_of_its_place(whole):
     assert column(other.summary, "gyro")[0].tolist() == column(whole.summary, "gyro")[0].tolist()
 
 
+@pytest.mark.slow
 def test_noise_depends_on_the_seed(whole):
     other = noisy(seed=43)
     assert (column(other.summary, "gyro") != column(whole.summary, "gyro")).all()

@@ -56,6 +56,7 @@ def test_a_states_error_is_within_thirty_times_rtol(rtol):
     assert abs(final(result, "filtered") - true) < 30 * rtol * 4.0
 
 
+@pytest.mark.slow
 def test_initial_values_are_those_of_the_decorator_unless_given():
     problem, start = filtering([4.0], tau=0.5)
     result = lierb.integrate(problem, **start, t_end=0.1, rtol=1e-6, save_at=(0.0,), method="DP54")

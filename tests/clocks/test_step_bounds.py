@@ -81,6 +81,7 @@ def allowed(kind, rtol):
     return 3e4 * rtol if kind == "joint_limit" else 2e3 * rtol ** (2 / 3)
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::lierb.errors.ScalarFunctionWarning")
 @pytest.mark.parametrize(
     ("kind", "method"),
@@ -113,6 +114,7 @@ def test_integrate_meets_every_stop(kind, method):
                 assert np.abs(off).max() < allowed(kind, rtol)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("method", "most"), [("DOP853", 240), pytest.param("Rodas4", 1000, marks=pytest.mark.long)]
 )
@@ -285,6 +287,7 @@ def gained(result) -> np.ndarray:
     return result.omega[:, 2]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "steps",
     [

@@ -112,6 +112,7 @@ def test_a_time_at_which_a_run_ends_is_its_own_derivative():
     assert np.abs(result.sensitivity("pose", "bell.at")[0, :, 0] - twist).max() < 1e-12
 
 
+@pytest.mark.slow
 def test_trajectories_that_reach_the_end_of_the_run_have_no_change_of_time():
     result = thrown(np.array((2.0, 30.0)))
     assert [row.as_py() for row in result.summary["status"]] == ["event", "ok"]

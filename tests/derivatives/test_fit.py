@@ -403,6 +403,7 @@ def test_data_that_are_none_are_refused(data, message):
         fitted(pendulum(), data, DAMPING)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("options", "message"),
     [

@@ -292,6 +292,7 @@ def test_scatter_of_a_body_and_the_starts_of_its_throws_is_covered():
 # ---- failures ----------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_experiments_that_fail_are_flagged_and_leave_the_others_alone():
     data = measured(4)
     data["omega"][:, 1] = 40.0 * np.sin(17.0 * TIMES)[:, None]  # no pendulum
@@ -325,6 +326,7 @@ def test_max_iterations_is_reported():
     assert many.iterations.tolist() == [1, 1]
 
 
+@pytest.mark.slow
 def test_directions_that_data_do_not_tell_are_named():
     guess, options = hung(0.5)
     many = lierb.fits(guess, measured_angles(), OF_START, **options)

@@ -110,6 +110,7 @@ def compare(problem, name, pose, twist, result, seed=0, force=None, scales=SCALE
     return weights, expected[2]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", tiered(lierb.joints.JOINTS, QUICK, SLOW))
 def test_derivatives_on_every_joint_are_those_of_complex_steps(name):
     problem, pose, twist = problem_of(name)

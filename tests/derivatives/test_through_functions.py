@@ -256,6 +256,7 @@ def test_continuous_functions_give_no_warning():
     assert np.all(np.isfinite(result.sensitivity("pose", "twist0")))
 
 
+@pytest.mark.slow
 def test_a_stop_with_a_damper_warns_and_one_without_does_not():
     hinge = lierb.joints.revolute(axis=(0.0, 1.0, 0.0))
     stops = {"lower": -1.0, "upper": 1.0, "stiffness": 10.0}

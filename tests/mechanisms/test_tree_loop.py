@@ -283,6 +283,7 @@ def test_rows_between_steps_change_no_bit():
     assert np.abs(drift).max() < 1e-4  # of about 100 J, between steps as well
 
 
+@pytest.mark.slow
 def test_an_adaptive_run_goes_on_to_the_bits_of_one_run():
     mechanism = tree_of(SIX)
     start = start_of(mechanism, 5)

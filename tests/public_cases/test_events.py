@@ -18,6 +18,7 @@ def on_the_ground(r):
     return r[2]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rtol", [1e-8, 1e-11])
 def test_c02_output_times_leave_the_landing_alone(rtol):
     """scipy#10319, scipy#12100: output times spoil a terminal event. Right: ln cosh.

@@ -75,6 +75,7 @@ def test_c29_a_pendulum_on_a_shaken_cart_moves_as_scipy_says():
     np.testing.assert_allclose(found, force, rtol=0, atol=1e-4)
 
 
+@pytest.mark.slow
 def test_c29b_a_slide_follows_a_speed():
     """A motor of given speed on a slide was refused, or ended as singular. Right: its integral."""
     held = lierb.joints.prismatic(axis=(0.0, 0.0, 1.0))

@@ -139,6 +139,7 @@ def test_c10_a_pendulum_has_its_period_whatever_its_size():
 # ---- c42: inertia about which point ------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_c42_a_data_sheets_pendulum_has_its_period():
     """kdl_parser#39, IsaacLab#4162, trimesh#1640: inertia is taken about another point.
 

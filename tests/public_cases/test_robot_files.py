@@ -25,6 +25,7 @@ def read_mjcf(path, text: str) -> lierb.Mechanism:
         return lierb.Mechanism.from_mjcf(path)
 
 
+@pytest.mark.slow
 def test_c07_a_free_root_without_mass_turns_as_its_child_does(tmp_path):
     """mujoco#3553, mujoco#3554, mujoco_warp#1669: all mass is on a welded child; it diverges.
 
@@ -91,6 +92,7 @@ def test_c20_links_of_files_may_be_point_masses(tmp_path):
         np.testing.assert_allclose(summed(result, f"{name}.omega")[0], (0, -rate, 0), atol=1e-7)
 
 
+@pytest.mark.slow
 def test_c26_a_mimicked_joint_moves_with_the_other(tmp_path):
     """mujoco#3527, pinocchio#1290, SAPIEN#68: mimics are dropped silently. Right: the file.
 

@@ -18,6 +18,7 @@ def test_bounced_is_continuous_and_keeps_its_energy():
     np.testing.assert_allclose(rate**2 + (frequency * beyond) ** 2, speed**2, rtol=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rtol", [1e-6, 1e-9])
 @pytest.mark.parametrize("speed", [0.1, 3.0, 100.0])
 def test_c49_stops_of_a_slide_turn_it_back(speed, rtol):
@@ -80,6 +81,7 @@ def test_c49b_wheel_bounces_for_ever():
     assert np.all(summed(result, "energy_drift_max") < 1e-2 * energy)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rtol", [1e-6, 1e-7, 1e-8, 1e-9, 1e-10])
 def test_c49_hard_stops_give_back_what_they_took(rtol):
     """drake#2516, bullet3#2863. Stops at −1 and 1.5 rad, harder by a factor of up to 1000."""
