@@ -109,8 +109,10 @@ class Inputs:
     @property
     def differ(self) -> int:
         """Kind of the inputs that differ between trajectories: TWISTS, POSES or BODIES."""
-        own = {name for name, array in (self.seeds or {}).items() if array.shape[1] > 1}
-        if _layout(self.model, self.columns).differ or own - self.starts.keys():
+        layout, own = _layout(self.model, self.columns), set()
+        if self.seeds:
+            own = {name for name, array in self.seeds.items() if array.shape[1] > 1}
+        if layout.differ or own - self.starts.keys():
             return BODIES
         are_one = self.state is not None or all(
             _is_shared(self.columns.field(name), array)
@@ -128,7 +130,7 @@ class Inputs:
         if self.state is None:
             for name, array in self.starts.items():
                 addresses[columns[name]] = _addresses_of(columns.field(name), array)
-            return np.concatenate([addresses, *self._seeds()])
+            return np.concatenate([addresses, *self._seeds()]) if self.seeds else addresses
         at = columns["state"].start
         of_state = _unused(columns.count - at)
         for row, column in zip(self.state, end_columns(plan), strict=True):
