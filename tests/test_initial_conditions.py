@@ -478,3 +478,10 @@ def test_a_first_start_off_its_joint_is_refused_before_a_kernel_is_compiled():
     with pytest.raises(PoseError, match="does not close the hook joint"):
         lierb.integrate(problem, pose0=off, dt=0.01, t_end=0.1)
     assert kernels_loaded() == before
+
+
+@pytest.mark.parametrize("shape", [(4,), (7,), (3, 4), (2, 7)])
+def test_quaternions_are_refused_with_their_two_orders(shape):
+    problem = lierb.Problem(BODY, lierb.joints.free())
+    with pytest.raises(ArgumentError, match=r"from_quat\(q\), for q = \(x, y, z, w\), or with sc"):
+        lierb.integrate(problem, pose0=np.ones(shape), dt=0.1, t_end=0.1)

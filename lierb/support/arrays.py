@@ -304,6 +304,12 @@ def as_poses(argument: str, value: Any, copy: bool | None = True) -> Array:
                 "joint.pose(rotation=R) is the pose of a body turned about its joint's point"
             )
         matrices = pose_matrix((components(matrices, 2), (0.0, 0.0, 0.0)))  # without a translation
+    elif matrices.ndim < 3 and matrices.shape[-1:] in ((4,), (7,)) and matrices.shape != (4, 4):
+        raise ArgumentError(
+            f"{argument} has shape {matrices.shape}, as quaternions have, whose order differs from "
+            "tool to tool; give SciPy's Rotation.from_quat(q), for q = (x, y, z, w), or with "
+            "scalar_first=True for (w, x, y, z); its RigidTransform has a position too"
+        )
     poses = as_numbers(argument, matrices, (4, 4), copy=copy)
     check_rotations(argument, poses[..., :3, :3])
     first = 0
