@@ -139,17 +139,14 @@ class Fit(Represented):
 
         Examples
         --------
+        >>> import numpy as np
         >>> import lierb
-        >>> hinge = lierb.joints.revolute(axis=(0.0, 1.0, 0.0), body_point=(0.0, 0.0, 0.15))
-        >>> rod = lierb.bodies.rod(0.3, 0.01, mass=0.2)
-        >>> spring = lierb.forces.torsional_spring(stiffness=0.1, damping=2e-3)
-        >>> pendulum = lierb.Problem(rod, hinge, forces=spring)
-        >>> data = {"t": [0.5, 1.0], "omega": [[0.0, 1.0, 0.0], [0.0, -1.7, 0.0]]}
-        >>> unknown = ["torsional_spring.stiffness", "torsional_spring.damping"]
-        >>> run = {"twist0": hinge.twist(omega=(0.0, 3.0, 0.0)), "dt": 1e-2}
-        >>> fit = lierb.fit(pendulum, data, unknown, sigma={"omega": 0.1}, **run)
-        >>> fit.covariance_of("torsional_spring.stiffness").round(8).tolist()  # of 0.1 N m/rad
-        [[1.58e-06]]
+        >>> flight = lierb.Problem(lierb.bodies.sphere(0.1, mass=1.0), lierb.joints.free())
+        >>> data = {"t": [0.0, 1.0], "omega": [[0.0, 0.0, 1.0], [0.0, 0.0, 1.1]]}
+        >>> run = {"twist0": np.eye(6)[2], "dt": 0.1, "sigma": {"omega": 0.1}}
+        >>> fit = lierb.fit(flight, data, "omega0", **run)
+        >>> fit.covariance_of("omega0[2]").round(4).tolist()
+        [[0.005]]
         """
         chosen = []
         for name in names:
@@ -183,15 +180,11 @@ class Fit(Represented):
 
         Examples
         --------
+        >>> import numpy as np
         >>> import lierb
-        >>> hinge = lierb.joints.revolute(axis=(0.0, 1.0, 0.0), body_point=(0.0, 0.0, 0.15))
-        >>> rod = lierb.bodies.rod(0.3, 0.01, mass=0.2)
-        >>> spring = lierb.forces.torsional_spring(stiffness=0.1, damping=2e-3)
-        >>> pendulum = lierb.Problem(rod, hinge, forces=spring)
-        >>> data = {"t": [0.5, 1.0], "omega": [[0.0, 1.0, 0.0], [0.0, -1.7, 0.0]]}
-        >>> unknown = ["torsional_spring.stiffness", "torsional_spring.damping"]
-        >>> run = {"twist0": hinge.twist(omega=(0.0, 3.0, 0.0)), "dt": 1e-2}
-        >>> fit = lierb.fit(pendulum, data, unknown, **run)
+        >>> flight = lierb.Problem(lierb.bodies.sphere(0.1, mass=1.0), lierb.joints.free())
+        >>> data = {"t": [0.0, 1.0], "omega": [[0.0, 0.0, 1.0], [0.0, 0.0, 1.1]]}
+        >>> fit = lierb.fit(flight, data, "omega0", twist0=np.eye(6)[2], dt=0.1)
         >>> [panel.get_title(loc="left") for panel in fit.plot().axes[:2]]
         ['omega, run minus data [rad/s]', 'correlations of the estimate']
         """

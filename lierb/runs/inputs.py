@@ -109,10 +109,8 @@ class Inputs:
     @property
     def differ(self) -> int:
         """Kind of the inputs that differ between trajectories: TWISTS, POSES or BODIES."""
-        layout, own = _layout(self.model, self.columns), set()
-        if self.seeds:
-            own = {name for name, array in self.seeds.items() if array.shape[1] > 1}
-        if layout.differ or own - self.starts.keys():
+        own = {name for name, array in (self.seeds or {}).items() if array.shape[1] > 1}
+        if _layout(self.model, self.columns).differ or own - self.starts.keys():
             return BODIES
         are_one = self.state is not None or all(
             _is_shared(self.columns.field(name), array)

@@ -17,7 +17,7 @@ from lierb.kernels.numbers.arithmetic import (
 )
 from lierb.kernels.numbers.dual import values
 from lierb.kernels.numbers.zero import ZERO, is_zero
-from lierb.kernels.stepping.method import Interval
+from lierb.kernels.stepping.method import Interval, Step
 from lierb.kernels.stepping.method_of import method_of
 from lierb.kernels.systems.derivatives import on_values
 from lierb.kernels.systems.plan import AnyPlan
@@ -71,9 +71,10 @@ def _advanced(
     invariant: tuple[int, ...],
 ) -> tuple[State, Record]:
     body = with_rank(plan, body, record)
-    moved, singular, unsolved, turns = _stepped(plan, body, state, time, h, invariant)
-    record = with_turns(record, turns, record.status == OK)
-    moved, seen, singular = with_all_parts(plan, moved), values(moved), values(singular)
+    made = _stepped(plan, body, state, time, h, invariant)
+    record = with_turns(record, made.turns, record.status == OK)
+    moved, unsolved = with_all_parts(plan, made.state), made.unsolved
+    seen, singular = values(made.state), values(made.singular)
     # One angle that is not finite makes all of Q so.
     turns, places = system_of(plan).turns_and_places(seen.chart)
     numbers = (*turns, *seen.v_or_mu, *seen.x, *places, seen.work)
@@ -114,19 +115,15 @@ def _advanced(
 
 def _stepped(
     plan: AnyPlan, body: Any, state: State, time: Any, h: Any, invariant: tuple[int, ...]
-) -> tuple[State, Any, Any, Any]:
-    """Make a step with the invariant components of V as structural zeros.
-
-    Return the state, 1 where the step is singular, where it is unsolved, and its turns.
-    """
+) -> Step:
+    """Make a step with the invariant components of V as structural zeros."""
     before = state.v_or_mu
     moving = tuple(ZERO if i in invariant else v for i, v in enumerate(before))
     state = state._replace(v_or_mu=moving)
     made = method_of(plan).step(system_of(plan), body, state, Interval(time, h, h))
-    moved, singular = made.state, made.singular
-    pairs = zip(before, moved.v_or_mu, strict=True)
+    pairs = zip(before, made.state.v_or_mu, strict=True)
     after = tuple(v if i in invariant else x for i, (v, x) in enumerate(pairs))
-    return moved._replace(v_or_mu=after), singular, made.unsolved, made.turns
+    return made._replace(state=made.state._replace(v_or_mu=after))
 
 
 def has_invariant(plan: AnyPlan, h: Any) -> Any:
@@ -169,7 +166,8 @@ def advance_small_angles(
     if not takes_small_angle_steps(plan):
         return state, all_lanes(h < h)  # never
     with assumptions(h) as conditions:
-        moved, singular, _, _ = _stepped(plan, body, state, time, h, system_of(plan).invariant)
+        made = _stepped(plan, body, state, time, h, system_of(plan).invariant)
+    moved, singular = made.state, made.singular
     _, places = system_of(plan).turns_and_places(moved.chart)
     fine = are_finite(*moved.v_or_mu, *places, moved.work) & (singular <= 0.5)
     for condition in conditions:  # false for an angle that is not finite

@@ -30,7 +30,8 @@ class Placed(NamedTuple):
 class Parts:
     """Arguments of a `lierb.Mechanism`, and a list of the elements of the file that it lacks.
 
-    link_of_joint : by MuJoCo's index of the joint.   light : names of links without mass.
+    link_of_joint : by MuJoCo's index of the joint.
+    light : names of links without mass or inertia.
     sites : by name, those of the file and bodies that are part of a link.
     """
 

@@ -98,9 +98,9 @@ class Mechanism(TreeKinematics):
         """Read the mechanism of an MJCF file, MuJoCo's format.
 
         Bodies keep their names. Hinge, slide, ball and free joints become joints of the catalogue;
-        several on one body become the joint that combines them, such as universal, or else, too if
-        it would lose their springs, links without mass between them. A link without mass has 1e-12
-        of what hangs on it.
+        several on one body become the joint that combines them, such as universal, if their springs
+        can act about its axes. Otherwise they stay separate, with links without mass between them.
+        A link without mass or inertia has 1e-12 of what hangs on it.
         `equality/connect` and `weld` become loops, `equality/joint` gears. Springs and dampers of
         joints that keep their axis become forces. `pose()` is the pose at qpos0. A LeftOutWarning
         lists the elements that are left out: contacts, friction, actuators, tendons and others.
@@ -135,7 +135,7 @@ class Mechanism(TreeKinematics):
         ------
         ArgumentError
             MuJoCo refuses the file or is not installed; a moving link has an inertia that no rigid
-            body has; or a link without mass can move without a link that has one.
+            body has; or a link without mass or inertia can move without what hangs on it.
         """
         return cls._of_file(path, "MJCF", None, merge_fixed, limit_stiffness, base, frames)
 

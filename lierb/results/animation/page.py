@@ -178,10 +178,10 @@ def animate(
     ...     lierb.bodies.box((0.1, 0.2, 0.3), mass=1.0),
     ...     lierb.joints.spherical(body_point=(0.0, 0.0, -0.15)),
     ... )
-    >>> saved = {"dt": 1e-3, "t_end": 0.1, "save_every": 10, "record": "state"}
-    >>> def spun(rate):
-    ...     return lierb.integrate(top, twist0=top.joint.twist(omega=(1.0, 0.0, rate)), **saved)
-    >>> lierb.animation.animate({"slow": spun(9.0), "fast": spun(90.0)})
+    >>> start = {"twist0": top.joint.twist(omega=(1.0, 0.0, 9.0)), "dt": 1e-3, "t_end": 0.1}
+    >>> saved = {"save_every": 10, "record": "state"}
+    >>> spaces = {c: lierb.integrate(top, cspace=c, **start, **saved) for c in ("SE3", "SO3xR3")}
+    >>> lierb.animation.animate(spaces)
     <lierb.animation.Animation 'spherical joint, RK4, dt = 0.001 s': 2 views; save(path) writes it>
     """
     if not (is_whole(frames) and frames >= 2):
