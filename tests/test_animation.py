@@ -501,7 +501,7 @@ def test_player_draws_observables_and_the_axes_of_bodies():
         flight.with_(observables=height()), twist0=(1.0, 0.0, 2.0, 0.5, 0.0, 3.0), dt=1e-2,
         t_end=0.5, save_every=5, record="state",
     )  # fmt: skip
-    scene = result.animate().scene
+    scene = result.animate(targets={"goal": (0.0, 0.0, 9.0)}).scene
     assert scene["curves"]["height"] == "height [m]"
     script = (
         f"const scene = {json.dumps(json.dumps(scene))};{STUB}"
@@ -520,6 +520,40 @@ def test_player_draws_observables_and_the_axes_of_bodies():
     assert ["curves", "height [m]"] in found["texts"]
     colours = [colour for name, colour, _ in found["drawn"] if name.startswith("#stage")]
     assert {"#c33", "#393", "#33c"} <= {*colours}
+    assert "goal" in {text for name, text in found["texts"] if name.startswith("#stage")}
+    assert colours.count("#a0178c") >= 3  # the arms of the cross
+
+
+def test_targets_are_points_paths_and_poses_and_stay_in_view(spun):
+    pose = np.eye(4)
+    pose[:3, 1:3] = -pose[:3, 1:3]
+    pose[:3, 3] = (0.0, 0.0, 5.0)
+    path = [(0.0, 0.0, 1.0), (1.0, 0.0, 1.0), (1.0, 2.0, 1.0)]
+    targets = {"point": (3.0, 0.0, 0.0), "path": path, "pose": pose}
+    scene = lierb.animate(spun["SE3"], targets=targets).scene
+    point, line, frame = scene["targets"]
+    assert point == {"name": "point", "points": [[3.0, 0.0, 0.0]], "axes": None}
+    assert line["points"] == [list(p) for p in path]
+    assert frame["points"] == [[0.0, 0.0, 5.0]]
+    assert frame["axes"] == pose[:3, :3].tolist()
+    for each in np.vstack([t["points"] for t in scene["targets"]]):
+        assert np.linalg.norm(each - scene["centre"]) <= scene["radius"] + 1e-12
+    (alone,) = lierb.animate(spun["SE3"], targets=path).scene["targets"]
+    assert alone["name"] == ""
+
+
+@pytest.mark.parametrize(
+    ("targets", "message"),
+    [
+        ((1.0, 2.0), r"targets has shape \(2,\); expected \(3,\)"),
+        ({"goal": np.zeros((2, 4, 4))}, r"targets\['goal'\] has shape \(2, 4, 4\)"),
+        ({"goal": np.ones((4, 4))}, r"targets\['goal'\]"),
+        ((np.nan, 0.0, 0.0), r"targets\[0\] is nan"),
+    ],
+)
+def test_targets_are_checked(spun, targets, message):
+    with pytest.raises(ValueError, match=message):
+        lierb.animate(spun["SE3"], targets=targets)
 
 
 def matrix_of(q: np.ndarray) -> np.ndarray:

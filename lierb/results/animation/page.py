@@ -31,7 +31,7 @@ from lierb.results.animation.scene import (
 from lierb.results.animation.shapes import Shape
 from lierb.results.colours import CSPACE_NAMES
 from lierb.results.states import RunStates
-from lierb.support.arrays import Array, as_numbers, is_whole
+from lierb.support.arrays import Array, as_matrix, as_numbers, as_poses, is_whole
 from lierb.support.files import require_page, write_whole
 from lierb.support.representations import counted, steps_text
 
@@ -129,6 +129,7 @@ def animate(
     trail: bool | ArrayLike | Mapping[str, ArrayLike] = True,
     frames: int = FRAMES,
     magnify: float = 1.0,
+    targets: ArrayLike | Mapping[str, ArrayLike] | None = None,
     title: str | None = None,
 ) -> Animation:
     """Animate trajectories side by side, with a common clock and camera.
@@ -158,6 +159,10 @@ def animate(
         Largest number of frames; longer histories are thinned evenly.
     magnify : float, optional
         Initial magnification of the gap.
+    targets : array_like of shape (3,), (k, 3) or (4, 4), or dict of them, optional
+        What the motion should reach, drawn in every view, fixed to the ground: a point (3,), m; a
+        path (k, 3) through k points, m; or a pose (4, 4). A dictionary gives them names, which are
+        written beside them. Default: none.
     title : str, optional
         Title. Default: joint and method.
 
@@ -194,7 +199,7 @@ def animate(
         list(_views(named, models, chosen)),
         title=_title(next(iter(named.values()))) if title is None else str(title),
         shape=_shapes(shape, first), trail=_trails(trail, first),
-        frames=int(frames), magnified=_factor(magnify),
+        frames=int(frames), magnified=_factor(magnify), targets=_targets(targets),
     )  # fmt: skip
     count = min(result.summary.num_rows for result in named.values())
     if trajectories is None and len(chosen) < count:
@@ -338,6 +343,22 @@ def _factor(given: Any) -> float:
     if not (is_number and 1.0 <= given <= MOST_MAGNIFIED):
         raise ArgumentError(f"magnify={brief(given)}; expected a number, 1 … {MOST_MAGNIFIED:g}")
     return float(given)
+
+
+def _targets(given: Any) -> dict[str, Array]:
+    """Return points (k, 3) and poses (4, 4) by name; a target without a name has the name ""."""
+    if given is None:
+        return {}
+    if not isinstance(given, Mapping):
+        return {"": _target("targets", given)}
+    return {str(name): _target(f"targets[{name!r}]", each) for name, each in given.items()}
+
+
+def _target(argument: str, given: Any) -> Array:
+    target = as_numbers(argument, as_matrix(argument, given), (3,), (4, 4))
+    if target.ndim == 3:
+        raise ArgumentError(f"{argument} has shape {target.shape}; expected (3,), (k, 3) or (4, 4)")
+    return as_poses(argument, target) if target.shape == (4, 4) else np.atleast_2d(target)
 
 
 def _point(argument: str, given: ArrayLike) -> Array:

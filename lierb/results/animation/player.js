@@ -364,6 +364,22 @@ function start(scene) {
     });
   }
 
+  /** Targets: a cross for a point, a line for a path, axes for a pose; their names beside them. */
+  function drawTargets(pen, see) {
+    const colour = "#a0178c", arm = 0.08 * scene.size;
+    pen.fillStyle = colour;
+    for (const { name, points, axes } of scene.targets) {
+      line(pen, points.map(see), colour, 1.6, [2, 2]);
+      if (points.length === 1) for (let i = 0; i < 3; i++) {
+        const d = [0, 1, 2].map((n) => (n === i ? arm : 0));
+        line(pen, [see(add(points[0], d, -1)), see(add(points[0], d))], colour, 1.8);
+      }
+      if (axes) drawAxes(pen, see, { m: axes.flat(), p: points[0] });
+      const [x, y] = see(points[points.length - 1]);
+      label(pen, name, x + 7, y - 7);
+    }
+  }
+
   /** The axes of a body's frame: red, green, blue. */
   function drawAxes(pen, see, pose) {
     ["#c33", "#393", "#33c"].forEach((colour, i) => {
@@ -404,6 +420,7 @@ function start(scene) {
     });
     view.joints.forEach((joint, i) =>
       joints[i] && drawJoint(pen, view, joint, joints[i], bodies[joint.child], joint.parent === null ? null : bodies[joint.parent], see));
+    drawTargets(pen, see);
     pen.fillStyle = view.colour;
     if (view.title && !view.dash.length) pen.fillRect(rect.x + 8, rect.y + 8, 11, 11);
     else if (view.title) line(pen, [[rect.x + 2, rect.y + 14], [rect.x + 21, rect.y + 14]], view.colour, 3, view.dash);

@@ -4,7 +4,9 @@
             floor: height of the floor along up, m, or null; follow: true if the camera follows the
             bodies; magnify: largest factor of the slider; magnified: its initial factor; curves:
             names and labels; linear: names of those on linear axes; colours: colours of the further
-            bodies of a view; notes; views
+            bodies of a view; targets; notes; views
+    target  name; points (k, 3): one is a cross, several are a path; axes (3, 3): of a frame at the
+            point, row by row, or null
     view    title, colour, t, bodies, joints, values; dash: index, from 0, among the views of the
             same colour, which selects the line style
     body    name, shape, com, poses (times, 7): unit quaternion (w, x, y, z), position; trail: a
@@ -71,12 +73,15 @@ def scene_of(
     trail: Trails,
     frames: int,
     magnified: float = 1.0,
+    targets: Mapping[str, Array] | None = None,
 ) -> dict[str, Any]:
     """Return the scene of trajectories, with one view for each.
 
     named : titles, results with states, models of one member each, numbers of trajectories.
     shape, trail : of the body; for a mechanism by link, not necessarily of all links.
+    targets : points (k, 3), m, or poses (4, 4) by name, fixed to the ground.
     """
+    aims = [_target(name, target) for name, target in (targets or {}).items()]
     looks = [
         _view(name, result, model, number, shape, trail, frames)
         for name, result, model, number in named
@@ -85,11 +90,11 @@ def scene_of(
     observed = [_observed(model) for _, _, model, _ in named]
     for view, (colour, dash) in zip(views, _colours([r for _, r, _, _ in named])):
         view |= {"colour": colour, "dash": dash}
-    size, points = max(sizes), np.vstack(swept)
-    low, high = points.min(axis=0), points.max(axis=0)
-    centre = 0.5 * (low + high)
+    size = max(sizes)
+    follow = bool(np.ptp(np.vstack(swept), axis=0).max() > FOLLOW_DISTANCE * size)
+    points = np.vstack([*swept, *(aim["points"] for aim in aims)])
+    centre = 0.5 * (points.min(axis=0) + points.max(axis=0))
     first, is_heavy = _up(named[0][2]), bool(np.any(named[0][2].gravity != 0.0))
-    follow = bool(np.max(high - low) > FOLLOW_DISTANCE * size)
     notes = []
     if max(turns) > TURN_SEEN:
         notes.append(
@@ -110,9 +115,18 @@ def scene_of(
         | {name: label for of in observed for name, label in of.items()},
         "linear": sorted({name for of in observed for name in of}),
         "colours": list(COLOURS),
+        "targets": aims,
         "notes": notes,
         "views": list(views),
     }
+
+
+def _target(name: str, target: Array) -> dict[str, Any]:
+    if target.shape == (4, 4):
+        axes, points = target[:3, :3].tolist(), [target[:3, 3].tolist()]
+    else:
+        axes, points = None, target.tolist()
+    return {"name": name, "points": points, "axes": axes}
 
 
 def settings_of(result: RunStates) -> dict[str, Any]:
