@@ -19,6 +19,7 @@ from lierb.model.functions import noise
 from lierb.model.functions.constraints import constraint, velocity_constraint
 from lierb.model.functions.controllers import controller
 from lierb.model.functions.events import event
+from lierb.model.functions.ground_motion import ground_motion
 from lierb.model.functions.observables import observable
 from lierb.model.functions.states import states
 from lierb.model.functions.turns import turns
@@ -47,9 +48,10 @@ __version__ = package_version()
 __all__ = [
     "TABLEAUS", "Body", "ButcherTableau", "Link", "Loop", "Mechanism", "Problem", "Result",
     "animate", "animation", "baumgarte", "bodies", "clip", "constraint", "controller",
-    "convergence", "errors", "event", "fit", "fits", "forces", "gradient", "info", "integrate",
-    "joints", "lie", "log", "noise", "observable", "predict", "propagate", "quaternion", "sampling",
-    "states", "table", "turns", "variable_mass", "velocity_constraint", "warmup", "where", "wrench",
+    "convergence", "errors", "event", "fit", "fits", "forces", "gradient", "ground_motion", "info",
+    "integrate", "joints", "lie", "log", "noise", "observable", "predict", "propagate",
+    "quaternion", "sampling", "states", "table", "turns", "variable_mass", "velocity_constraint",
+    "warmup", "where", "wrench",
 ]  # fmt: skip
 
 # Public names of modules: `from lierb.joints import revolute`.

@@ -304,7 +304,7 @@ CODES = {
     ),
     "plain function": (
         "def controller(t, R, r, omega, v):\n    return r, r\n",
-        r"with @lierb\.wrench or @lierb\.variable_mass before it",
+        r"with @lierb\.wrench, @lierb\.variable_mass or @lierb\.ground_motion before it",
     ),
 }  # fmt: skip
 

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lierb.errors import LierbError
+from lierb.kernels.functions.shapes import UserFunction
 from lierb.kernels.mechanics import elements as kinds
 from lierb.kernels.mechanics.newton_euler import BodyConstants, Parameters
 from lierb.kernels.mechanics.rows import Rows
@@ -26,6 +27,7 @@ from lierb.model.functions.constraints import Constraint
 from lierb.model.functions.controllers import Controller
 from lierb.model.functions.elements import Element
 from lierb.model.functions.events import Event
+from lierb.model.functions.ground_motion import MovingGround, moving_ground, require_one_ground
 from lierb.model.functions.observables import Observable
 from lierb.model.functions.states import ExtraStates
 from lierb.model.functions.wrenches import Force
@@ -68,10 +70,15 @@ class Model(Represented):
         for name, value in attributes.items():
             object.__setattr__(self, name, value)
 
-    def _set_elements(self, *given: Any) -> None:
+    def _set_elements(self, *given: Any, ground_motion: Any = None) -> None:
         """Check and set the elements, which are in the order of ELEMENTS."""
         for (label, kind), elements in zip(ELEMENTS.items(), given, strict=True):
             self._set(**{label: self._fitted(label, elements, kind)})
+        if (motion := moving_ground(ground_motion)) is not None:
+            on_links = [motion.on(link) if link else motion for link in self.link_names]
+            moved = self._fitted("ground_motion", on_links, Force)
+            self._set(forces=(*self.forces, *moved))
+        require_one_ground(self)
         bind(self)
 
     # ---- implemented by problems and mechanisms ----
@@ -131,6 +138,7 @@ class Model(Represented):
         events: Event | Iterable[Event] = (),
         states: ExtraStates | Iterable[ExtraStates] = (),
         controllers: Controller | Iterable[Controller] = (),
+        ground_motion: MovingGround | UserFunction | None = None,
     ) -> Self:
         """Return the model with other numbers and with further elements, such as forces.
 
@@ -156,6 +164,8 @@ class Model(Represented):
             Further states.
         controllers : Controller or iterable of Controller, optional
             Further controllers.
+        ground_motion : optional
+            Motion of the ground, in addition to the one that the model has.
 
         Returns
         -------
@@ -188,10 +198,12 @@ class Model(Represented):
             "forces": forces, "constraints": constraints, "observables": observables,
             "events": events, "states": states, "controllers": controllers,
         }  # fmt: skip
-        elements = {
+        elements: dict[str, Any] = {
             label: (*getattr(changed, label), *self._fitted(label, added[label], kind))
             for label, kind in ELEMENTS.items()
         }
+        if ground_motion is not None:
+            elements["ground_motion"] = ground_motion
         return self._remade(changed._structure, elements)
 
     def renumbered(self, numbers: Numbers) -> Self:

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lierb.errors import ArgumentError, LierbError, PoseError, body_label
+from lierb.kernels.functions.shapes import UserFunction
 from lierb.kernels.groups import se3, so3
 from lierb.kernels.mechanics import elements as kinds
 from lierb.kernels.mechanics.constraints import residuals
@@ -35,6 +36,7 @@ from lierb.model.functions.constraints import Constraint
 from lierb.model.functions.controllers import Controller
 from lierb.model.functions.elements import Element
 from lierb.model.functions.events import Event
+from lierb.model.functions.ground_motion import MovingGround
 from lierb.model.functions.observables import Observable
 from lierb.model.functions.states import ExtraStates
 from lierb.model.functions.wrenches import Force
@@ -88,6 +90,10 @@ class Problem(Model):
     controllers : Controller or iterable of Controller, optional
         Sampled controllers, made by `lierb.controller`: called once per period, with constant
         outputs in between.
+    ground_motion : optional
+        Displacement of the ground: made by a function decorated by `lierb.ground_motion`, or a
+        function of t, s, that returns (3,) m. All results are relative to the moving ground.
+        Default: the ground is at rest.
 
     Raises
     ------
@@ -117,11 +123,13 @@ class Problem(Model):
         events: Event | Iterable[Event] = (),
         states: ExtraStates | Iterable[ExtraStates] = (),
         controllers: Controller | Iterable[Controller] = (),
+        ground_motion: MovingGround | UserFunction | None = None,
     ) -> None:
         require("body", body, Body, "a lierb.Body")
         require("joint", joint, Joint, "a joint from lierb.joints, such as spherical(…)")
         self._set(body=body, joint=joint, gravity=as_numbers("gravity", gravity, (3,)))
-        self._set_elements(forces, constraints, observables, events, states, controllers)
+        elements = forces, constraints, observables, events, states, controllers
+        self._set_elements(*elements, ground_motion=ground_motion)
         if len(self.rows) > MOST_ROWS:
             raise ArgumentError(f"{len(self.rows)} constraint rows; at most {MOST_ROWS} are solved")
         self.batch_size()

@@ -336,6 +336,11 @@ def second(value: Any, rate: Any, bend: Any) -> UserNumber:
     return UserNumber(UserNumber(plain(value), (rate,)), (UserNumber(plain(rate), (bend,)),))
 
 
+def slope_of(number: Any) -> Any:
+    """Return the derivative of a number with one derivative, or of a constant."""
+    return number.parts[0] if isinstance(number, UserNumber) and number.parts else ZERO
+
+
 def constant_in_time(numbers: tuple[Any, ...]) -> tuple[Any, ...]:
     """Return numbers without the derivatives of `second`; they keep those by parameters."""
     return tuple(

@@ -22,6 +22,7 @@ from lierb.kernels.mechanics.constraints import (
     rate_errors_squared,
     rotation_error_squared,
 )
+from lierb.kernels.mechanics.ground_motion import GroundMotion
 from lierb.kernels.mechanics.newton_euler import (
     BodyConstants,
     Motion,
@@ -33,7 +34,7 @@ from lierb.kernels.mechanics.newton_euler import (
 from lierb.kernels.mechanics.scale import bearings, pose_tolerances, twist_tolerances
 from lierb.kernels.mechanics.tree import Connection
 from lierb.kernels.numbers.arithmetic import PI, any_lanes, branch, sqrt, where
-from lierb.kernels.numbers.vec import ZERO6, Vec, dot, mat_t_vec, mat_vec, sub
+from lierb.kernels.numbers.vec import ZERO6, Vec, add, dot, mat_t_vec, mat_vec, sub
 from lierb.kernels.numbers.zero import ZERO
 from lierb.kernels.systems.acceleration import accelerate
 from lierb.kernels.systems.body_inputs import (
@@ -293,7 +294,12 @@ class OneBody(StateArithmetic):
         solution = accelerate(
             self.plan, body, ((), d), motion.velocity, time, q, to_ground=partial(mat_vec, q)
         )
-        felt = solution.turning + sub(solution.moving, mat_t_vec(q, body.gravity))
+        moving = sub(solution.moving, mat_t_vec(q, body.gravity))
+        seen = self.motions(body, motion, time)(0)
+        for element, placed in zip(self.plan.elements, body.elements, strict=True):
+            if isinstance(element, GroundMotion):
+                moving = add(moving, element.felt(placed, seen))
+        felt = solution.turning + moving
         return lambda _: felt
 
     def measured(

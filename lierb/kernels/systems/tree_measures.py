@@ -11,10 +11,21 @@ from lierb.kernels.mechanics.constraints import (
     rotation_error_squared,
     squares_by_kind,
 )
+from lierb.kernels.mechanics.ground_motion import GroundMotion
 from lierb.kernels.mechanics.newton_euler import Motion
 from lierb.kernels.mechanics.tree import Connection, TreeConstants, TreeMotion
 from lierb.kernels.numbers.arithmetic import fma
-from lierb.kernels.numbers.vec import ZERO6, Vec, axpy, cross_add, dot, mat_vec, mat_vec_add
+from lierb.kernels.numbers.vec import (
+    ZERO3,
+    ZERO6,
+    Vec,
+    add,
+    axpy,
+    cross_add,
+    dot,
+    mat_vec,
+    mat_vec_add,
+)
 from lierb.kernels.numbers.zero import ZERO
 from lierb.kernels.systems.measures import JOINT_ERRORS, Observed, orthogonality_squared
 from lierb.kernels.systems.relatives import Relatives, largest, multipliers_of_wrench
@@ -103,9 +114,14 @@ class TreeMeasures(TreeAccelerations):
         return lambda i: relatives[first + i].x.motion._replace(signals=body.signals)
 
     def felt(self, body: TreeConstants, motion: TreeMotion, time: Any) -> Callable[[int], Vec]:
-        moved = self.accelerate(body, motion).solved.response.moved  # of a ground that falls by −g
-        places = self.plan.connections[len(self.plan.joints) :]
-        return lambda i: moved[places[i].node]
+        response = self.accelerate(body, motion).solved.response
+        moved = [*response.moved]  # of a ground that falls by −g
+        places = [each.node for each in self.plan.connections[len(self.plan.joints) :]]
+        seen, pairs = self.motions(body, motion, time), zip(self.plan.elements, body.elements)
+        for i, (element, placed) in enumerate(pairs):
+            if isinstance(element, GroundMotion):
+                moved[places[i]] = add(moved[places[i]], ZERO3 + element.felt(placed, seen(i)))
+        return lambda i: moved[places[i]]
 
     def in_user_frames(self, body: TreeConstants, numbers: list[Any], state: State) -> list[Vec]:
         motion = self.motion(body, state, ZERO)

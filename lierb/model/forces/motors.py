@@ -13,7 +13,7 @@ from lierb.kernels.functions.function import Function
 from lierb.kernels.functions.shapes import Shape, UserFunction
 from lierb.kernels.functions.user_number import UserNumber
 from lierb.kernels.mechanics.axis_rows import AxisRow
-from lierb.kernels.mechanics.elements import Wrench, constant_in_time, second
+from lierb.kernels.mechanics.elements import Wrench, constant_in_time, second, slope_of
 from lierb.kernels.mechanics.newton_euler import Kinematics, Motion
 from lierb.kernels.mechanics.rows import AddedRow, HeldBody, Rows, slides, turns
 from lierb.kernels.numbers.arithmetic import plain
@@ -155,11 +155,6 @@ class PositionRow(PrescribedRow):
 
     def prescribed_place(self, x: Kinematics, body: HeldBody) -> Any:
         return self.given(x, body)
-
-
-def slope_of(number: Any) -> Any:
-    """Return the derivative of a number with one derivative, or of a constant."""
-    return number.parts[0] if isinstance(number, UserNumber) and number.parts else ZERO
 
 
 def motor(

@@ -10,6 +10,7 @@ from typing import Any, Self
 from numpy.typing import ArrayLike
 
 from lierb.errors import ArgumentError, ForceError, brief, items_of, unknown_name
+from lierb.kernels.functions.shapes import UserFunction
 from lierb.kernels.mechanics.rows import Rows
 from lierb.model.acting import fitted, require
 from lierb.model.base import Model
@@ -20,6 +21,7 @@ from lierb.model.functions.controllers import Controller
 from lierb.model.functions.decorated import reject_functions
 from lierb.model.functions.elements import Element
 from lierb.model.functions.events import Event
+from lierb.model.functions.ground_motion import MovingGround
 from lierb.model.functions.observables import Observable
 from lierb.model.functions.states import ExtraStates
 from lierb.model.functions.wrenches import Force
@@ -60,6 +62,7 @@ class Tree(Model):
         states: ExtraStates | Iterable[ExtraStates] = (),
         controllers: Controller | Iterable[Controller] = (),
         sites: Mapping[str, Site] | None = None,
+        ground_motion: MovingGround | UserFunction | None = None,
     ) -> None:
         self._set(
             links=_all_of("links", links, Link, "lierb.Link"),
@@ -69,7 +72,8 @@ class Tree(Model):
         )
         self._check_names()
         _ = self.order  # raises for a cycle
-        self._set_elements(forces, constraints, observables, events, states, controllers)
+        elements = forces, constraints, observables, events, states, controllers
+        self._set_elements(*elements, ground_motion=ground_motion)
         self.batch_size()
 
     # ---- links and loops -------------------------------------------------------------------------
@@ -256,7 +260,8 @@ class Tree(Model):
             element = replace(element, at=self.names)
         if element.kind.needs_axis:
             return self._on_joint(label, element)
-        if len(element.at) > 1 and (element.kind.feels or element.kind.adds_inertia):
+        is_absolute = element.kind.adds_inertia or isinstance(element, MovingGround)
+        if len(element.at) > 1 and (element.kind.feels or is_absolute):
             raise ForceError(
                 f"{label}, {element.name}, depends on accelerations, which are relative to the "
                 f"ground, but is on two links; place it by .on({element.at[0]!r})"

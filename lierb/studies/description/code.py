@@ -37,7 +37,7 @@ FILE = r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,95}\.py"
 PATTERN = rf"^{PREFIX}{FILE}:[A-Za-z_][A-Za-z0-9_]{{0,99}}$"
 EXPECTED = '"python:FILE.py:NAME", FILE.py beside the study and NAME a function in it'
 KINDS: dict[str, tuple[type[Decorated], str]] = {
-    "forces": (JumpingFunction, "wrench or @lierb.variable_mass"),
+    "forces": (JumpingFunction, "wrench, @lierb.variable_mass or @lierb.ground_motion"),
     "constraints": (ConstraintFunction, "constraint"),
     "observables": (ObservableFunction, "observable"),
     "events": (EventFunction, "event"),

@@ -91,7 +91,7 @@ class ColumnSection(ElementSection):
 class ForceSection(ElementSection):
     """Force of `lierb.forces`, or a function in a file beside the study.
 
-    The function has `@lierb.wrench` or `@lierb.variable_mass` before it.
+    The function has `@lierb.wrench`, `@lierb.variable_mass` or `@lierb.ground_motion` before it.
     """
 
     table = "forces"

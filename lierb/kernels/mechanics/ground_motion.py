@@ -1,0 +1,61 @@
+"""Ground that moves: a link's force of inertia in a frame with a given acceleration."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+from lierb.kernels.functions.function import Function
+from lierb.kernels.mechanics.elements import (
+    Element,
+    UserFrame,
+    Wrench,
+    constant_in_time,
+    second,
+    slope_of,
+    times_of_jumps,
+)
+from lierb.kernels.mechanics.newton_euler import Frames, Motion
+from lierb.kernels.numbers.vec import Vec, cross, mat_t_vec, scale
+from lierb.kernels.numbers.zero import ZERO
+
+
+@dataclass(frozen=True)
+class GroundMotion(Element):
+    """Force −m s̈ at the centre of mass, s(t) the displacement of the ground: a user's function."""
+
+    function: Function
+    discontinuities: tuple[str, ...] = ()
+    takes_body: ClassVar = True
+
+    @property
+    def depends_on_velocity(self) -> bool:
+        return False
+
+    def placed(self, given: dict[str, Any], frames: Frames) -> tuple[Any, ...]:
+        """Return the frame, the parameters, and mass and centre of mass of the body."""
+        own = tuple(given[name] for name in self.shapes)
+        return UserFrame.of(frames), own, given["body.mass"], given["body.com"]
+
+    def acceleration(self, placed: Any, x: Motion) -> Vec:
+        """Return s̈, m/s², in the axes of the user's body frame."""
+        frame, parameters = UserFrame(*placed[0]), placed[1]
+        moved = self.function(constant_in_time(parameters), second(x.time, 1.0, ZERO))
+        turn, _ = frame.pose(x.q, x.place)
+        return mat_t_vec(turn, tuple(slope_of(slope_of(s)) for s in moved))
+
+    def felt(self, placed: Any, x: Motion) -> Vec:
+        """Return s̈, m/s², in the axes of the joint on the body."""
+        return mat_t_vec(UserFrame(*placed[0]).axes, self.acceleration(placed, x))
+
+    def wrench(self, placed: Any, x: Motion) -> Wrench:
+        frame, _, mass, com = placed
+        pull = scale(-mass, self.acceleration(placed, x))
+        return UserFrame(*frame).to_joint_axes(cross(com, pull), pull)
+
+    def travel(self, placed: Any, start: Motion, end: Motion, h: Any, size: Any) -> tuple[()]:
+        """Return no bounds: the force does not depend on the place."""
+        return ()
+
+    def jumps(self, placed: Any) -> tuple[Any, ...]:
+        return times_of_jumps(self, placed[1])
