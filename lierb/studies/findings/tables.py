@@ -133,7 +133,7 @@ def table_of_linear_theory(rows: list[LinearTheory]) -> Table:
     """Make the table of importance factors, and of linear percentiles beside sampled ones."""
     table = empty_table(("linear theory: share of variance",), ("", "linear", "sampled", INTERVAL))
     for each in _in_sections(table, rows):
-        names = [named(each.name, each.unit), *shares_of(each)]
+        names = [named(each.name, each.unit), *(f"  {share}" for share in shares_of(each))]
         quantiles = zip(each.linear, each.sampled, strict=True)
         numbers = [
             (percent(q.probability), f"{x:.3g}", *with_interval(q[1:])) for x, q in quantiles
@@ -146,4 +146,4 @@ def table_of_linear_theory(rows: list[LinearTheory]) -> Table:
 def shares_of(theory: LinearTheory) -> list[str]:
     """Format the importance factors, the largest first."""
     shares = sorted(theory.shares.items(), key=lambda pair: -pair[1])
-    return [f"  {share:.3f} {quantity}" for quantity, share in shares]
+    return [f"{share:.3f} {quantity}" for quantity, share in shares]

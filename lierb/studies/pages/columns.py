@@ -7,9 +7,8 @@ from typing import NamedTuple
 
 import pyarrow as pa
 
-from lierb.studies.description.study import Study
 from lierb.studies.findings.columns import field_unit
-from lierb.studies.findings.findings import ERRORS, least_drawn
+from lierb.studies.findings.sizes import ERRORS, least_drawn
 from lierb.studies.storage.results import Results
 
 AXES = {
@@ -51,9 +50,9 @@ class Ordinate(NamedTuple):
     least: float | None
 
 
-def ordinates(dataset: Results, study: Study, columns: Iterable[str]) -> list[Ordinate]:
+def ordinates(dataset: Results, columns: Iterable[str]) -> list[Ordinate]:
     """Return the axes of different columns of the summary; those of errors are logarithmic."""
-    schema, least = dataset.table().schema, least_drawn(dataset, study)
+    schema, least = dataset.table().schema, least_drawn(dataset)
     kinds = {column: kind for kind, column in ERRORS.items()}
     axes = []
     for column in dict.fromkeys(columns):
