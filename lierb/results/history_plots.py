@@ -15,12 +15,12 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from lierb.errors import ArgumentError, items_of, unknown_name
+from lierb.errors import ArgumentError, items_of, require_name
 from lierb.model.mechanism.mechanism import Mechanism
 from lierb.model.problem import Problem
 from lierb.results.columns import as_array
 from lierb.results.motion_panels import SUBSCRIPTS, Coordinates, Panel, Series, State, Trace
-from lierb.results.states import RunStates
+from lierb.results.states import RunStates, chosen_trajectories
 from lierb.support.arrays import Array
 from lierb.support.extras import require
 
@@ -61,11 +61,12 @@ def history_figure(
             "there is no history to plot: integrate with save_every=… or save_at=…, and record="
             '["state", "energy"] for motion and energy'
         )
-    chosen = _numbers(trajectories, result.summary.num_rows)
+    count = result.summary.num_rows
+    chosen = chosen_trajectories(trajectories, count, count)
     names = (columns,) if isinstance(columns, str) else items_of("columns", columns, "names")
     made = _panels(result, problem)
     shown = _chosen(made, names)
-    t = as_array(result.history["t"]).reshape(-1, result.summary.num_rows)[:, 0]
+    t = as_array(result.history["t"]).reshape(-1, count)[:, 0]
     with matplotlib.rc_context(STYLE):
         return _drawn([make() for make in shown], t, chosen)
 
@@ -74,28 +75,11 @@ def _chosen(
     made: dict[str, Callable[[], Panel | Trace | None]], names: Sequence[str]
 ) -> list[Callable[[], Any]]:
     for name in names:
-        if name not in made:
-            raise unknown_name("columns", name, made)
+        require_name("columns", name, made)
     default = {name for name in made if name not in ON_REQUEST and "." not in name}
     if not default & {*MOTION, *COORDINATES}:  # a mechanism whose joints are unknown
         default |= {name for name in made if name.rpartition(".")[2] in MOTION}
     return [make for name, make in made.items() if name in (names or default)]
-
-
-def _numbers(given: Any, count: int) -> list[int]:
-    if given is None:
-        return list(range(count))
-    numbers = (
-        [given]
-        if isinstance(given, (int, np.integer))
-        else list(items_of("trajectories", given, "whole numbers"))
-    )
-    for number in numbers:
-        if not (isinstance(number, (int, np.integer)) and 0 <= number < count):
-            raise ArgumentError(f"trajectories has {number!r}; expected 0 … {count - 1}")
-    if not numbers:
-        raise ArgumentError("trajectories is empty; expected numbers of trajectories")
-    return [int(number) for number in numbers]
 
 
 # ---- panels ------------------------------------------------------------------------------------

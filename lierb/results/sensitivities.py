@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 import pyarrow as pa
 
-from lierb.errors import unknown_name
+from lierb.errors import require_name
 from lierb.kernels.systems.layout import Columns
 from lierb.kernels.systems.measures import MEASURES
 from lierb.model.base import Model
@@ -54,11 +54,8 @@ class Sensitivities(NamedTuple):
 
     def array(self, of: str, with_respect_to: str) -> Array:
         """Return the derivatives of a quantity by a parameter; see `Result.sensitivity`."""
-        for argument, name, known in (
-            ("of", of, self.quantities), ("with_respect_to", with_respect_to, self.parameters)
-        ):  # fmt: skip
-            if name not in known:
-                raise unknown_name(argument, name, known)
+        require_name("of", of, self.quantities)
+        require_name("with_respect_to", with_respect_to, self.parameters)
         column = f"{of}{SEPARATOR}{with_respect_to}"
         lead: tuple[int, ...] = (self.summary.num_rows,)
         table = self.summary

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from lierb.errors import ArgumentError, unknown_name
+from lierb.errors import ArgumentError, brief, items_of, unknown_name
 from lierb.kernels.groups import so3
 from lierb.kernels.mechanics.rows import JOINT_ROWS
 from lierb.kernels.mechanics.spatial import wrench_from
@@ -20,7 +20,7 @@ from lierb.model.bodies.body import Body
 from lierb.model.functions.column_names import COMPONENTS
 from lierb.results.columns import as_array, numbers
 from lierb.runs.continuation import End
-from lierb.support.arrays import Array, assembled, components
+from lierb.support.arrays import Array, assembled, components, is_whole, pose_matrix
 from lierb.support.representations import Lines, Represented, counted
 
 STATE = ("t", "position", "rotation", "quaternion", "omega", "v")
@@ -131,6 +131,12 @@ class LinkResult(States):
         return f"lierb.results.states.LinkResult {self.name!r}: {count}", rows
 
 
+def poses_of(states: States, at: Any = ...) -> Array:
+    """Return the homogeneous matrices of a history.   at : indices of times and trajectories."""
+    rotation, position = states.rotation[at], states.position[at]
+    return pose_matrix((components(rotation, 2), components(position)))
+
+
 def _momentum_of(body: Body, link: States) -> Vec:
     """Return the momentum of one body about the ground's origin, in the ground's axes."""
     momentum = rigid_of(body).momentum(components(link.omega) + components(link.v))
@@ -138,11 +144,24 @@ def _momentum_of(body: Body, link: States) -> Vec:
     return wrench_from(place, momentum)
 
 
-def _metadata(table: pa.Table) -> dict[str, Any]:
+def metadata_of(table: pa.Table) -> dict[str, Any]:
     """Return the metadata of a table as a dictionary."""
     metadata = (table.schema.metadata or {}).get(b"lierb")
     content: dict[str, Any] = json.loads(metadata) if metadata else {}
     return content
+
+
+def chosen_trajectories(given: Any, count: int, most: int) -> list[int]:
+    """Check numbers of trajectories, of `count` in all; None stands for the first `most`."""
+    if given is None:
+        return list(range(min(count, most)))
+    numbers = (given,) if is_whole(given) else items_of("trajectories", given, "whole numbers")
+    for number in numbers:
+        if not (is_whole(number) and 0 <= number < count):
+            raise ArgumentError(f"trajectories has {brief(number)}; expected 0 … {count - 1}")
+    if not numbers:
+        raise ArgumentError("trajectories is empty; expected numbers of trajectories")
+    return [int(number) for number in numbers]
 
 
 def _kinds_of(metadata: dict[str, Any]) -> list[str]:

@@ -6,45 +6,36 @@ import numpy as np
 
 from lierb.kernels.groups import se3
 from lierb.kernels.mechanics.constraints import residuals
-from lierb.kernels.mechanics.newton_euler import SE3, BodyConstants, Parameters
+from lierb.kernels.mechanics.newton_euler import SE3
 from lierb.model.base import Model
 from lierb.model.connections import NOWHERE, Connection
-from lierb.model.joints.joint import Joint
 from lierb.support.arrays import Array, assembled, pose_components
 
 
 def gap_of(model: Model, at: Connection, poses: list[Array]) -> Array:
-    """Return the displacement of a joint's body off its constraint set; see `gaps_in`.
-
-    model : of one member.   poses : poses of each link over time, (times, 4, 4).
-    """
-    assert at.joint is not None
-    parameters = model.parameters(at)
-    if at.parent != NOWHERE:
-        ground = se3.compose(pose_components(poses[at.parent]), parameters.ground)
-        parameters = parameters._replace(ground=ground)
-    return gaps_in(at.joint, parameters, model.constants(at), poses[at.body])
-
-
-def gaps_in(joint: Joint, parameters: Parameters, body: BodyConstants, poses: Array) -> Array:
-    """Return the displacement of a body off its joint's constraint set, (times, 6).
+    """Return the displacement of a joint's body off its constraint set, (times, 6).
 
     A row has a rotation vector, rad, and the displacement of the joint's point, m, in the ground's
     axes. They are the shortest displacements that give the constraint residuals h to first order,
     δ = J⁺ h, separately for the rows of rotation and of position. They are computed here in double
     precision, since the page's single precision cannot resolve 1e-7 m beside 1 m.
+
+    model : of one member.   at : a joint with rows.   poses : of each link, (times, 4, 4).
     """
-    rows = joint.rows
-    rotation, position = np.zeros((len(poses), 3)), np.zeros((len(poses), 3))
-    if not rows:
-        return np.hstack([rotation, position])
+    assert at.joint is not None
+    rows, body, own = at.joint.rows, model.constants(at), poses[at.body]
+    parameters = model.parameters(at)
+    if at.parent != NOWHERE:
+        ground = se3.compose(pose_components(poses[at.parent]), parameters.ground)
+        parameters = parameters._replace(ground=ground)
+    rotation, position = np.zeros((len(own), 3)), np.zeros((len(own), 3))
     with np.errstate(all="ignore"):  # after a failure all is NaN
-        placed, still = SE3.to_joint_axes(parameters, pose_components(poses), (0.0,) * 6)
+        placed, still = SE3.to_joint_axes(parameters, pose_components(own), (0.0,) * 6)
         x = SE3.kinematics(body, placed, still)
         values = assembled(tuple(residuals(rows, x, body)))
-        values = np.broadcast_to(values, (len(poses), len(rows)))
+        values = np.broadcast_to(values, (len(own), len(rows)))
         jacobian = np.stack(
-            [np.broadcast_to(assembled(r.jacobian(x, body)), (len(poses), 6)) for r in rows], axis=1
+            [np.broadcast_to(assembled(r.jacobian(x, body)), (len(own), 6)) for r in rows], axis=1
         )
     is_translational = np.array([r.is_translational for r in rows])
     alive = np.isfinite(values).all(axis=1)
@@ -55,5 +46,5 @@ def gaps_in(joint: Joint, parameters: Parameters, body: BodyConstants, poses: Ar
         if chosen.any():
             inverse = np.linalg.pinv(jacobian[alive][:, chosen, columns], rcond=1e-9)
             gaps[alive] = np.einsum("tij,tj->ti", inverse, values[alive][:, chosen])
-    to_ground = poses[:, :3, :3] @ joint.body_frame[:3, :3]  # from the body's joint axes
+    to_ground = own[:, :3, :3] @ at.joint.body_frame[:3, :3]  # from the body's joint axes
     return np.hstack([np.einsum("tij,tj->ti", to_ground, each) for each in (rotation, position)])

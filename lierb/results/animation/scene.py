@@ -22,7 +22,6 @@ NaN after a failure.
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
@@ -41,8 +40,8 @@ from lierb.results.animation.encoding import RUNAWAY, encoded, text_of
 from lierb.results.animation.shapes import Shape, equivalent
 from lierb.results.colours import COLOURS, CSPACE_COLOURS, colours_of
 from lierb.results.columns import as_array
-from lierb.results.states import RunStates
-from lierb.support.arrays import Array, assembled, components, pose_matrix
+from lierb.results.states import RunStates, States, metadata_of, poses_of
+from lierb.support.arrays import Array, assembled, components
 
 Shapes = Shape | Mapping[str, Shape] | None
 Trails = Array | bool | Mapping[str, Array]
@@ -115,15 +114,9 @@ def scene_of(
     }
 
 
-def settings_of(result: RunStates) -> dict[str, Any]:
-    """Return the metadata of a result: its problem and options."""
-    header: dict[str, Any] = json.loads((result.summary.schema.metadata or {}).get(b"lierb", b"{}"))
-    return header
-
-
 def cspace_of(result: RunStates) -> str | None:
     """Return the c-space of a result; None if its metadata lack it."""
-    cspace: str | None = settings_of(result).get("options", {}).get("cspace")
+    cspace: str | None = metadata_of(result.summary).get("options", {}).get("cspace")
     return cspace
 
 
@@ -144,31 +137,24 @@ def _rounded(points: Array, size: float) -> Array:
     return np.asarray(np.round(points, 9 - math.ceil(math.log10(size))))
 
 
-def poses_of(history: pa.Table, count: int, number: int, rows: Array, prefix: str = "") -> Array:
-    """Return poses of a trajectory at some of the saved times, (rows, 4, 4).
-
-    count : number of trajectories in the history.   prefix : prefix of the column names.
-    """
-    rotation = as_array(history[f"{prefix}rotation"]).reshape(-1, count, 9)[rows, number]
-    position = as_array(history[f"{prefix}position"]).reshape(-1, count, 3)[rows, number]
-    return pose_matrix((components(rotation), components(position)))
-
-
 # ---- a view ------------------------------------------------------------------------------------
 
 
 class Linked(NamedTuple):
-    """A drawn body has a prefix of its columns, and joint points, that of its own joint first."""
+    """A drawn body has its states, and joint points, that of its own joint first.
+
+    name : of the link; "" for a single body.
+    """
 
     name: str
-    prefix: str
+    states: States
     body: Body
     points: list[Array]
     has_children: bool
     is_pinned: bool
 
 
-def _linked(model: Model) -> list[Linked]:
+def _linked(model: Model, result: RunStates) -> list[Linked]:
     links, linked = model.joints[: len(model.bodies)], []
     for i, (name, body) in enumerate(zip(model.link_names, model.bodies, strict=True)):
         own = links[i].joint
@@ -180,8 +166,8 @@ def _linked(model: Model) -> list[Linked]:
             if n != i and i in (at.parent, at.body) and at.joint is not None and at.rows
         ]
         is_parent = i in (at.parent for at in links)
-        prefix = f"{name}." if name else ""
-        linked.append(Linked(name or "body", prefix, body, points, is_parent, bool(own.rows)))
+        states = result[name] if name else result
+        linked.append(Linked(name, states, body, points, is_parent, bool(own.rows)))
     return linked
 
 
@@ -201,8 +187,8 @@ def _view(
     count = result.summary.num_rows
     t = as_array(history["t"]).reshape(-1, count)[:, number]
     rows = np.unique(np.rint(np.linspace(0, len(t) - 1, min(frames, len(t)))).astype(int))
-    links = _linked(model)
-    poses = [poses_of(history, count, number, rows, each.prefix) for each in links]
+    links = _linked(model, result)
+    poses = [poses_of(each.states, (rows, number)) for each in links]
     shapes = [_of_link(shape, each.name) or equivalent(each.body) for each in links]
     joints = drawn_joints(model, poses)
     errors = _errors(history, [each.joint for each in joints], count, number, rows)
@@ -219,7 +205,7 @@ def _view(
         "values": {name: encoded(x) for name, x in {**errors, **observed}.items()},
     }
     size = max(each.size for each in shapes)
-    turn = max(_turn(history, count, number, rows, t[rows], each.prefix) for each in links)
+    turn = max(_turn(each.states.omega[rows, number], t[rows]) for each in links)
     grounds = [each.joint.ground_frame[:3, 3] for each in joints if each.parent is None]
     swept = np.vstack([_swept(*each) for each in zip(poses, shapes)] + grounds)
     gap = max((each.gap_size(size) for each in joints), default=0.0)
@@ -233,7 +219,7 @@ def _of_link(given: Shapes, name: str) -> Shape | None:
 def _body(link: Linked, shape: Shape, poses: Array, trail: Trails) -> dict[str, Any]:
     point = _trail(link, shape, trail)
     made = {
-        "name": link.name,
+        "name": link.name or "body",
         "shape": {
             "vertices": _rounded(shape.vertices, shape.size).tolist(),
             "faces": shape.faces, "marked": shape.marked,
@@ -242,7 +228,7 @@ def _body(link: Linked, shape: Shape, poses: Array, trail: Trails) -> dict[str, 
         "com": link.body.com.tolist(),
         "trail": None if point is None else point.tolist(),
     }  # fmt: skip
-    if link.prefix:
+    if link.name:
         first, *others = link.points or [link.body.com]
         ends = others or [link.body.com]
         made["bones"] = [[first.tolist(), end.tolist()] for end in ends]
@@ -321,9 +307,8 @@ def _swept(poses: Array, shape: Shape) -> Array:
     )  # failed from the start: no position
 
 
-def _turn(history: pa.Table, count: int, number: int, rows: Array, t: Array, prefix: str) -> float:
+def _turn(omega: Array, t: Array) -> float:
     """Return the largest turn between frames, rad, from rates: poses omit whole turns."""
-    omega = as_array(history[f"{prefix}omega"]).reshape(-1, count, 3)[rows, number]
     with np.errstate(all="ignore"):
         turns = np.linalg.norm(omega[:-1], axis=1) * np.diff(t)
     return float(np.nanmax(turns, initial=0.0))
