@@ -350,36 +350,24 @@ def _report(
 
 
 def _show(dataset: Dataset, probabilities: tuple[float, ...]) -> None:
-    from lierb.studies.findings.findings import (
-        crossings,
-        findings,
-        indices,
-        linear_theories,
-        quantities,
-    )
-    from lierb.studies.findings.linear_theory import left_out
-    from lierb.studies.findings.tables import (
-        table_of,
-        table_of_events,
-        table_of_indices,
-        table_of_linear_theory,
-        table_of_quantities,
-    )
+    from lierb.studies.findings import findings, linear_theory, tables
 
-    print_whole(table_of(findings(dataset)))
-    click.echo()
-    print_whole(table_of_quantities(quantities(dataset, probabilities)))
-    if events := crossings(dataset, probabilities):
-        click.echo()
-        print_whole(table_of_events(events, dataset.manifest["study"]["integrate"]["t_end"]))
-    if sensitivities := indices(dataset):
-        click.echo()
-        print_whole(table_of_indices(sensitivities))
-    if theory := linear_theories(dataset, probabilities):
-        click.echo()
-        print_whole(table_of_linear_theory(theory))
-        for line in (*left_out(theory), *(each.warning for each in theory if each.warning)):
-            click.secho(wrapped(line), fg="yellow")
+    shown = [
+        tables.table_of(findings.findings(dataset)),
+        tables.table_of_quantities(findings.quantities(dataset, probabilities)),
+    ]
+    if events := findings.crossings(dataset, probabilities):
+        shown.append(tables.table_of_events(events, dataset.study.integrate.t_end))
+    if indices := findings.indices(dataset):
+        shown.append(tables.table_of_indices(indices))
+    if theory := findings.linear_theories(dataset, probabilities):
+        shown.append(tables.table_of_linear_theory(theory))
+    for n, table in enumerate(shown):
+        if n:
+            click.echo()
+        print_whole(table)
+    for line in (*linear_theory.left_out(theory), *(t.warning for t in theory if t.warning)):
+        click.secho(wrapped(line), fg="yellow")
     done, total = len(dataset.parts), dataset.manifest["asked"]
     state = dataset.rest(f"the rest with: {_again(dataset, '--resume')}")
     click.echo(f"{dataset.folder}: {done} of {total} parts{state}")

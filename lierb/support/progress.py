@@ -88,18 +88,12 @@ class TerminalBar:
     """This bar is shown on standard error, by rich. Raises ImportError without rich."""
 
     def __init__(self, total: int, of: str = BODY_STEPS) -> None:
+        from rich import progress
         from rich.console import Console
-        from rich.progress import (
-            BarColumn,
-            Progress,
-            TaskProgressColumn,
-            TextColumn,
-            TimeRemainingColumn,
-        )
 
-        self._bar = Progress(
-            TextColumn(of), BarColumn(), TaskProgressColumn(),
-            TextColumn("{task.fields[rate]}"), TimeRemainingColumn(),
+        self._bar = progress.Progress(
+            progress.TextColumn(of), progress.BarColumn(), progress.TaskProgressColumn(),
+            progress.TextColumn("{task.fields[rate]}"), progress.TimeRemainingColumn(),
             console=Console(stderr=True), transient=True,
         )  # fmt: skip
         self._task = self._bar.add_task("", total=total, rate="")

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lierb.errors import unknown_name
+from lierb.errors import require_name
 from lierb.studies.description.stopping import number_columns
 from lierb.studies.description.study import Study
 from lierb.studies.findings.sizes import errors_seen
@@ -46,8 +46,7 @@ def ranking_named(study: Study, rank_by: str) -> Ranking:
     """
     known = number_columns(study.batch(0, 1).problem, study.has_lane_clocks)
     column = rank_by.removeprefix(SMALLEST) if isinstance(rank_by, str) else rank_by
-    if column not in known:
-        raise unknown_name("rank_by", column, known)
+    require_name("rank_by", column, known)
     return Ranking(column, column != rank_by)
 
 
