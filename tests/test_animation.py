@@ -19,7 +19,7 @@ from cases import integrate, joint, tilted, top
 import lierb
 from lierb.errors import ArgumentError, FailedTrajectoryWarning, StudyFileError
 from lierb.results.animation import shapes
-from lierb.results.animation.gaps import gap_of
+from lierb.results.animation.drawn_joints import gap_of
 from lierb.results.animation.page import FRAMES, MOST_VIEWS
 from lierb.results.colours import CSPACE_COLOURS
 

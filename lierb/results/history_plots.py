@@ -31,6 +31,7 @@ from matplotlib.figure import Figure  # noqa: E402
 from matplotlib.lines import Line2D  # noqa: E402
 
 from lierb.results.colours import COLOURS  # noqa: E402
+from lierb.results.panels import positive  # noqa: E402
 from lierb.results.plots import STYLE, ShownFigure  # noqa: E402
 
 MOST_LINES = 6  # most trajectories drawn one by one; for more, quantiles are drawn
@@ -209,7 +210,7 @@ def _draw_panel(axes: Axes, panel: Panel, t: Array, chosen: list[int]) -> None:
         else:
             for i in range(len(chosen)):
                 colour = own if alone else COLOURS[i % len(COLOURS)]
-                line = _positive(values[:, i]) if panel.is_error else values[:, i]
+                line = positive(values[:, i], 0.0) if panel.is_error else values[:, i]
                 axes.plot(t, line, color=colour, linestyle=dash, linewidth=1.1)
         legend = own if alone or many else "#333333"
         axes.plot([], [], color=legend, linestyle=dash, label=series.label)
@@ -225,18 +226,13 @@ def _draw_panel(axes: Axes, panel: Panel, t: Array, chosen: list[int]) -> None:
     axes.set_xlim(t[0], t[-1] if t[-1] > t[0] else None)
 
 
-def _positive(errors: Array) -> Array:
-    """Return errors with NaN for zeros, which leave gaps."""
-    return np.where(errors > 0.0, errors, np.nan)
-
-
 def _draw_bands(axes: Axes, t: Array, values: Array, colour: str, is_error: bool) -> None:
     with warnings.catch_warnings(), np.errstate(all="ignore"):
         warnings.simplefilter("ignore", RuntimeWarning)  # all trajectories may have failed
         low, median, high = np.nanquantile(values, QUANTILES, axis=1)
         most = np.nanmax(values, axis=1)
     if is_error:
-        low, median, high, most = map(_positive, (low, median, high, most))
+        low, median, high, most = positive((low, median, high, most), 0.0)
     axes.plot(t, median, color=colour, linewidth=1.3)
     axes.fill_between(t, low, high, color=colour, alpha=0.2, linewidth=0)
     if is_error:

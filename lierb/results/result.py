@@ -18,14 +18,7 @@ from lierb.results.animation.page import Animation, animate, described_links
 from lierb.results.columns import as_array, as_codes
 from lierb.results.failures import Failures, has_failed
 from lierb.results.sensitivities import Sensitivities
-from lierb.results.states import (
-    STATE,
-    RunStates,
-    _kinds_of,
-    _scalars,
-    _unit,
-    metadata_of,
-)
+from lierb.results.states import STATE, RunStates, _kinds_of, _scalars, _unit, metadata_of
 from lierb.support.arrays import is_whole
 from lierb.support.extras import require
 from lierb.support.representations import FAILED, Lines, counted, steps_text

@@ -112,10 +112,7 @@ def sensitivities(
 ) -> Sensitivities:
     """Return the tables of derivatives.   history : of the run, whose rows they share."""
     count = len(output.status)
-    columns = {
-        "trajectory": numbers(np.arange(count, dtype=np.int64)),
-        "t": numbers(output.t),
-    }
+    columns = {"trajectory": numbers(np.arange(count, dtype=np.int64)), "t": numbers(output.t)}
     fields = [pa.field(name, array.type) for name, array in columns.items()]
     ends = [*_columns(derivatives, derivatives.ends, model)]
     if any(event.terminal for event in model.events):

@@ -179,11 +179,7 @@ def summary_table(output: Output, metadata: str, model: Model) -> pa.Table:
 
 
 def history_table(
-    output: Output,
-    recorded: tuple[str, ...],
-    plan: AnyPlan,
-    metadata: str,
-    model: Model,
+    output: Output, recorded: tuple[str, ...], plan: AnyPlan, metadata: str, model: Model
 ) -> pa.Table:
     """Return a table with a row for each saved time and trajectory, time-major."""
     clock, count = output.clock, len(output.status)

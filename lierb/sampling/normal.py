@@ -151,11 +151,7 @@ class TruncatedNormal(Distribution):
     high: Array
 
     def __init__(
-        self,
-        mean: ArrayLike,
-        std: ArrayLike,
-        low: ArrayLike = -np.inf,
-        high: ArrayLike = np.inf,
+        self, mean: ArrayLike, std: ArrayLike, low: ArrayLike = -np.inf, high: ArrayLike = np.inf
     ) -> None:
         centre, spread = numbers_of("mean", mean), numbers_of("std", std)
         lowest = numbers_of("low", low, infinite=True)

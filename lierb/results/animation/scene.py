@@ -12,7 +12,7 @@
     joint   name; parent and child: indices of bodies, null for the ground, parents first; closes:
             true for a loop's joint, listed after the links' joints; parent_frame and child_frame:
             4×4, row by row; parent_axes, child_axes, slides, child_slides: axes of these frames to
-            draw; is_rod; gap (times, 6): see `lierb.results.animation.gaps`
+            draw; is_rod; gap (times, 6): see `lierb.results.animation.drawn_joints`
     values  values of each of the curves over time: errors, and observables
 
 Views are shown side by side on a common clock. Bodies and joints are those of a mechanism; a single
@@ -27,9 +27,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-import pyarrow as pa
 
-from lierb.errors import ArgumentError
 from lierb.kernels.groups import so3
 from lierb.kernels.numbers.vec import norm, scale
 from lierb.model.base import Model
@@ -39,7 +37,6 @@ from lierb.results.animation.drawn_joints import drawn_joints
 from lierb.results.animation.encoding import RUNAWAY, encoded, text_of
 from lierb.results.animation.shapes import Shape, equivalent
 from lierb.results.colours import COLOURS, CSPACE_COLOURS, colours_of
-from lierb.results.columns import as_array
 from lierb.results.states import RunStates, States, metadata_of, poses_of
 from lierb.support.arrays import Array, assembled, components
 
@@ -181,20 +178,14 @@ def _view(
     frames: int,
 ) -> tuple[dict[str, Any], Array, float, float, list[str], float]:
     """Return a view, its swept points, the bodies' size, largest gap, curves and largest turn."""
-    history = result.history
-    if history is None or not result.has_states:
-        raise ArgumentError(f"{name or 'the result'}: {RECORD}")
-    count = result.summary.num_rows
-    t = as_array(history["t"]).reshape(-1, count)[:, number]
+    t = result["t"][:, number]
     rows = np.unique(np.rint(np.linspace(0, len(t) - 1, min(frames, len(t)))).astype(int))
     links = _linked(model, result)
     poses = [poses_of(each.states, (rows, number)) for each in links]
     shapes = [_of_link(shape, each.name) or equivalent(each.body) for each in links]
     joints = drawn_joints(model, poses)
-    errors = _errors(history, [each.joint for each in joints], count, number, rows)
-    observed = {
-        name: as_array(history[name]).reshape(-1, count)[rows, number] for name in _observed(model)
-    }
+    errors = _errors(result, [each.joint for each in joints], number, rows)
+    observed = {name: result[name][rows, number] for name in _observed(model)}
     view = {
         "title": name,
         "t": text_of(np.ascontiguousarray(t[rows], "<f8")),  # resolves 1e-3 s after days
@@ -267,9 +258,7 @@ def _up(model: Model) -> Array:
     return np.asarray(up) + 0.0  # no −0
 
 
-def _errors(
-    history: pa.Table, joints: list[Joint], count: int, number: int, rows: Array
-) -> dict[str, Array]:
+def _errors(result: RunStates, joints: list[Joint], number: int, rows: Array) -> dict[str, Array]:
     """Return the errors for which joints have rows; without any, the energy drift.
 
     Each value is the maximum since the previous frame.
@@ -277,12 +266,7 @@ def _errors(
     names = {kind for joint in joints for kind in joint.error_kinds}
     kinds = [f"{kind}_error" for kind in sorted(names)] or ["energy_drift"]
     starts = np.append(0, rows[:-1] + 1)
-    return {
-        name: np.maximum.reduceat(
-            np.abs(as_array(history[name]).reshape(-1, count)[:, number]), starts
-        )
-        for name in kinds
-    }
+    return {name: np.maximum.reduceat(np.abs(result[name][:, number]), starts) for name in kinds}
 
 
 def _observed(model: Model) -> dict[str, str]:

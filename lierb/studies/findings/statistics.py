@@ -12,12 +12,7 @@ import pyarrow.compute as pc
 from lierb.errors import require_name
 from lierb.kernels.systems.observables import KEEPS
 from lierb.results.columns import as_array
-from lierb.studies.description.quantiles import (
-    CONFIDENCE,
-    PROBABILITIES,
-    Quantile,
-    quantile_of,
-)
+from lierb.studies.description.quantiles import CONFIDENCE, PROBABILITIES, Quantile, quantile_of
 from lierb.studies.description.settings import Setting
 from lierb.studies.findings.columns import field_unit, ok_columns, rows_of
 from lierb.studies.findings.sizes import errors_seen

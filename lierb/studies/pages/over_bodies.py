@@ -23,14 +23,7 @@ from lierb.studies.findings.columns import drawn_columns, ok_columns, some_rows
 from lierb.studies.findings.ranking import rankings
 from lierb.studies.findings.sizes import errors_seen, least_drawn
 from lierb.studies.findings.symbols import labelled
-from lierb.studies.pages.columns import (
-    AXES,
-    KNOWN,
-    Ordinate,
-    axis_label,
-    ordinates,
-    other_columns,
-)
+from lierb.studies.pages.columns import AXES, KNOWN, Ordinate, axis_label, ordinates, other_columns
 from lierb.studies.pages.looks import Look, looks, step_sizes
 from lierb.studies.storage.results import Results
 from lierb.support.arrays import Array
@@ -125,10 +118,7 @@ def parameter_sheet(dataset: Results, rank_by: str | None = None) -> Sheet:
 
 
 def _draw_dots(
-    dots: list[tuple[Look, Array, dict[str, Array]]],
-    label: str,
-    up: Ordinate,
-    panel: Axes,
+    dots: list[tuple[Look, Array, dict[str, Array]]], label: str, up: Ordinate, panel: Axes
 ) -> None:
     zeros, on_edge = [], []
     for n, (look, values, columns) in enumerate(dots):

@@ -16,16 +16,8 @@ from lierb.results.columns import as_array
 from lierb.studies.description.quantiles import CONFIDENCE, PROBABILITIES, percent
 from lierb.studies.description.settings import Setting
 from lierb.studies.description.study import Study
+from lierb.studies.findings import findings
 from lierb.studies.findings.columns import drawn_columns, field_unit, ok_columns
-from lierb.studies.findings.findings import (
-    LABELS,
-    crossings,
-    findings,
-    indices,
-    linear_theories,
-    orders,
-    quantities,
-)
 from lierb.studies.findings.linear_theory import left_out
 from lierb.studies.findings.ranking import Ranking, rankings
 from lierb.studies.findings.sizes import errors_seen
@@ -79,7 +71,7 @@ def write_report(
         lstrip_blocks=True,
     )
     environment.globals |= {  # functions that the template calls
-        "data_url": data_url, "named": named, "orders": orders, "panels_of": panels_of,
+        "data_url": data_url, "named": named, "orders": findings.orders, "panels_of": panels_of,
         "rounded": rounded, "shares_of": shares_of, "with_interval": with_interval, "zip": zip,
     }  # fmt: skip
     page = environment.get_template(TEMPLATE).render(_values(dataset, rank_by, probabilities))
@@ -96,7 +88,7 @@ def _values(
     options = "" if rank_by is None else f" --rank-by={rank_by}"
     if tuple(probabilities) != PROBABILITIES:
         options += f" --quantiles={','.join(each.rstrip('%') for each in percents)}"
-    theory = linear_theories(dataset, probabilities)
+    theory = findings.linear_theories(dataset, probabilities)
     return {
         "study": study,
         "text": dataset.study_text() or study.to_toml(),
@@ -108,11 +100,11 @@ def _values(
         "failures": _failures(dataset),
         "percents": percents,
         "confidence": f"{CONFIDENCE:.0%}",
-        "labels": LABELS,
-        "errors": findings(dataset),
-        "quantities": quantities(dataset, probabilities),
-        "events": crossings(dataset, probabilities),
-        "indices": indices(dataset),
+        "labels": findings.LABELS,
+        "errors": findings.findings(dataset),
+        "quantities": findings.quantities(dataset, probabilities),
+        "events": findings.crossings(dataset, probabilities),
+        "indices": findings.indices(dataset),
         "theory": theory,
         "left_out": left_out(theory),
         "figures": list(sheets(dataset, rank_by)),

@@ -215,9 +215,7 @@ class Results(Represented):
         columns = [*setting_columns(table.schema), *COLUMNS]
         (row,) = table.head(1, columns=columns, filter=~IS_SUCCESS).to_pylist()
         setting, first = Setting.of_row(row), {name: row[name] for name in COLUMNS}
-        counts: Counter[str] = Counter()
-        for _, failed in failing:
-            counts.update(failed)
+        counts = sum((Counter(failed) for _, failed in failing), Counter())
         return Failures(self.trajectories, dict(counts), **first, setting=setting.label)
 
     def _summaries(self) -> Iterator[tuple[str, dict[str, Any]]]:
