@@ -308,7 +308,8 @@ def predict(study: Path, changes: Changes) -> None:
     from lierb.studies.description.study import Study
 
     loaded = Study.load(study, changes)
-    prediction = predict_joints(*loaded.batch(0, 1).first, update=loaded.integrate.update)
+    problem, pose0, _ = loaded.batch(0, 1).first
+    prediction = predict_joints(problem, pose0, update=loaded.integrate.update)
     click.echo(str(prediction))
     for joint, each in joint_by_joint(prediction):
         click.echo(wrapped(f"{', '.join(filter(None, (joint, each.cspace)))}: {each.reason}"))

@@ -9,7 +9,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Iterable, Sequence
 from functools import partial
-from itertools import pairwise
+from itertools import cycle, pairwise
 from typing import Any
 
 import numpy as np
@@ -18,7 +18,7 @@ import pyarrow as pa
 from lierb.errors import ArgumentError, items_of, require_name
 from lierb.model.mechanism.mechanism import Mechanism
 from lierb.model.problem import Problem
-from lierb.results.columns import as_array
+from lierb.results.columns import as_array, unit_of
 from lierb.results.motion_panels import SUBSCRIPTS, Coordinates, Panel, Series, State, Trace
 from lierb.results.states import RunStates, chosen_trajectories
 from lierb.support.arrays import Array
@@ -131,18 +131,15 @@ def _is_number(kind: pa.DataType) -> bool:
 
 def _of_column(history: pa.Table, column: pa.Field, count: int) -> dict[str, Callable[[], Panel]]:
     """Return a panel for each unit of a column's components."""
-    metadata = column.metadata or {}
     width = column.type.list_size if pa.types.is_fixed_size_list(column.type) else 1
-    units = metadata.get(b"unit", b"").decode().split(", ")
+    units = unit_of(column).split(", ")
     units = units if len(units) == width else units[:1] * width
 
     def panel(unit: str, title: str, label: str) -> Panel:
         values = as_array(history[column.name]).reshape(-1, count, width)
         mine = [i for i in range(width) if units[i] == unit]
-        labels = [
-            label if width == 1 else f"{label}{SUBSCRIPTS[n % 9]}" for n, _ in enumerate(mine)
-        ]
-        series = tuple(Series(name, values[..., i]) for name, i in zip(labels, mine))
+        labels = [f"{label}{each}" for each in SUBSCRIPTS] if width > 1 else [label]
+        series = tuple(Series(name, values[..., i]) for name, i in zip(cycle(labels), mine))
         is_error = column.name.endswith(("_error", "_drift"))
         return Panel(title, unit, series, is_error)
 

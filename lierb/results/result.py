@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 from lierb.errors import ArgumentError, brief, require_name
 from lierb.model.problem import Problem
 from lierb.results.animation.page import Animation, animate, described_links
-from lierb.results.columns import as_array, as_codes
+from lierb.results.columns import as_array, as_codes, unit_of
 from lierb.results.failures import Failures, has_failed
 from lierb.results.sensitivities import Sensitivities
-from lierb.results.states import STATE, RunStates, _kinds_of, _scalars, _unit, metadata_of
+from lierb.results.states import STATE, RunStates, _kinds_of, _scalars, metadata_of
 from lierb.support.arrays import is_whole
 from lierb.support.extras import require
 from lierb.support.representations import FAILED, Lines, counted, steps_text
@@ -284,7 +284,7 @@ class Result(RunStates):
         require("pandas")
         chosen = self._expanded(table)
         frame = chosen.to_pandas()
-        frame.attrs["units"] = {f.name: _unit(f) for f in chosen.schema if _unit(f)}
+        frame.attrs["units"] = {f.name: unit_of(f) for f in chosen.schema if unit_of(f)}
         return frame
 
     def to_polars(self, table: str = "summary") -> polars.DataFrame:
@@ -386,7 +386,7 @@ class Result(RunStates):
         texts = []
         for name in kinds:
             column = self.summary.schema.field(f"{name}_max")
-            unit = _unit(column)
+            unit = unit_of(column)
             largest = as_array(self.summary[column.name])[ok].max()
             plain = name.replace("_", " ")
             where = self._where(column.name, largest, ok)
@@ -395,14 +395,9 @@ class Result(RunStates):
 
     def _where(self, column: str, largest: float, ok: NDArray[np.bool_]) -> str:
         """Return the joint with the largest error, in parentheses; "" without one."""
-        for name in self.summary.column_names:
+        for name in self.summary.column_names if largest else ():
             joint, _, what = name.rpartition(".")
-            if (
-                joint
-                and what == column
-                and largest
-                and as_array(self.summary[name])[ok].max() == largest
-            ):
+            if joint and what == column and as_array(self.summary[name])[ok].max() == largest:
                 return f" ({joint})"
         return ""
 

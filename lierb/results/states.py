@@ -18,7 +18,7 @@ from lierb.kernels.numbers.vec import ZERO6, Vec, add, norm, scale
 from lierb.model.base import rigid_of
 from lierb.model.bodies.body import Body
 from lierb.model.functions.column_names import COMPONENTS
-from lierb.results.columns import as_array, numbers
+from lierb.results.columns import as_array, numbers, unit_of
 from lierb.runs.continuation import End
 from lierb.support.arrays import Array, assembled, components, is_whole, pose_matrix
 from lierb.support.representations import Lines, Represented, counted
@@ -173,19 +173,13 @@ def _kinds_of(metadata: dict[str, Any]) -> list[str]:
     return [name for name in LARGEST if name in kinds]
 
 
-def _unit(field: pa.Field) -> str:
-    """Return a field's unit; "" if it has none."""
-    unit: bytes = (field.metadata or {}).get(b"unit", b"")
-    return unit.decode()
-
-
 def _scalars(field: pa.Field, column: pa.ChunkedArray) -> dict[pa.Field, Any]:
     """Return a scalar column, or the component columns of a vector column, by field."""
     if not pa.types.is_fixed_size_list(field.type):
         return {field: column}
     width = field.type.list_size
     names = COMPONENTS.get(field.name.rpartition(".")[2], tuple(str(i + 1) for i in range(width)))
-    units = _unit(field).split(", ")
+    units = unit_of(field).split(", ")
     units = units * width if len(units) == 1 else units
     return {
         pa.field(
@@ -242,11 +236,8 @@ class RunStates(States):
                 return values.reshape(*shape, self.summary.num_rows, *values.shape[1:])
         saved = [] if self.history is None else self.history.column_names
         columns = dict.fromkeys((*saved, *self.summary.column_names))
-        raise unknown_name(
-            "result: column" if not self.links else "result: link or column",
-            name,
-            (*self.links, *columns),
-        )
+        what = "link or column" if self.links else "column"
+        raise unknown_name(f"result: {what}", name, (*self.links, *columns))
 
     @property
     def momentum(self) -> Array:

@@ -194,7 +194,7 @@ class Dataset(Results):
         setting = only_setting(study, given)
         recorded = with_history(study, save_every)
         batch, result = Part("", setting, number, 1).run(recorded, study.design, threads)
-        return Replay(*batch.alone(0), result, setting)
+        return Replay(*batch.first, result, setting)
 
     def _representation(self) -> tuple[str, Lines]:
         if not self.manifest:

@@ -73,10 +73,7 @@ def scene_of(
     named : titles, results with states, models of one member each, numbers of trajectories.
     shape, trail : of the body; for a mechanism by link, not necessarily of all links.
     """
-    looks = [
-        _view(name, result, model, number, shape, trail, frames)
-        for name, result, model, number in named
-    ]
+    looks = [_view(*each, shape, trail, frames) for each in named]
     views, swept, sizes, gaps, curves, turns = zip(*looks, strict=True)
     observed = [_observed(model) for _, _, model, _ in named]
     for view, (colour, dash) in zip(views, _colours([r for _, r, _, _ in named])):

@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from lierb.results.columns import unit_of
 from lierb.results.sensitivities import SEPARATOR
 from lierb.studies.description.quantiles import (
     CONFIDENCE,
@@ -25,7 +26,7 @@ from lierb.studies.description.settings import Setting
 from lierb.studies.description.study import Study
 from lierb.studies.description.study_tables import NOTHING
 from lierb.studies.findings.along_parameters import AlongParameters
-from lierb.studies.findings.columns import field_unit, ok_columns, some_rows
+from lierb.studies.findings.columns import ok_columns, some_rows
 from lierb.studies.storage.results import Results
 from lierb.support.arrays import Array
 
@@ -131,7 +132,7 @@ def _of_setting(
         yield LinearTheory(
             setting,
             output.name,
-            field_unit(schema.field(output.column)),
+            unit_of(schema.field(output.column)),
             _shares(slopes, covariances),
             tuple(q.value for q in percentiles),
             sampled,

@@ -11,10 +11,10 @@ import pyarrow.compute as pc
 
 from lierb.errors import require_name
 from lierb.kernels.systems.observables import KEEPS
-from lierb.results.columns import as_array
+from lierb.results.columns import as_array, unit_of
 from lierb.studies.description.quantiles import CONFIDENCE, PROBABILITIES, Quantile, quantile_of
 from lierb.studies.description.settings import Setting
-from lierb.studies.findings.columns import field_unit, ok_columns, rows_of
+from lierb.studies.findings.columns import ok_columns, rows_of
 from lierb.studies.findings.sizes import errors_seen
 from lierb.studies.storage.results import IS_SUCCESS, Results
 from lierb.support.arrays import Array
@@ -56,7 +56,7 @@ def quantities(dataset: Results, probabilities: Sequence[float] = PROBABILITIES)
             values = ok_columns(dataset, setting, [name])[name]
             ordered = np.sort(values[~np.isnan(values)])
             quantiles = tuple(quantile_of(ordered, p) for p in probabilities)
-            unit, undefined = field_unit(schema.field(name)), len(values) - len(ordered)
+            unit, undefined = unit_of(schema.field(name)), len(values) - len(ordered)
             spreads.append(Spread(setting, name, unit, len(ordered), undefined, quantiles))
     return spreads
 

@@ -52,6 +52,7 @@ def labelled(
 
 def _symbols(quantity: str, width: int, is_vector: bool, study: Study) -> list[str]:
     """Return a name for each component."""
+    whole = quantity
     section, _, key = quantity.rpartition(".")
     first, _, of_link = section.partition(".")
     owner = ""
@@ -60,10 +61,7 @@ def _symbols(quantity: str, width: int, is_vector: bool, study: Study) -> list[s
     elif first == "forces":
         owner = f"{of_link}: "
     if quantity in ("initial.coordinates", "initial.velocities"):
-        names = _of_coordinates(
-            f"{owner.removesuffix(': ')}.{quantity}" if owner else quantity, width, study
-        )
-        return [owner + name for name in names]
+        return [owner + name for name in _of_coordinates(whole, width, study)]
     if is_vector and len(SYMBOLS.get(quantity, ())) == width:
         return [owner + symbol for symbol in SYMBOLS[quantity]]
     word = owner + key.replace("_", " ")

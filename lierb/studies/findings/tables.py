@@ -63,7 +63,7 @@ def with_interval(
 
 
 def named(name: str, unit: str) -> str:
-    return f"{name}, {unit}" if unit != "1" else name
+    return f"{name}, {unit}" if unit not in ("", "1") else name
 
 
 def _in_sections(table: Table, rows: Iterable[Row]) -> Iterator[Row]:

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import pyarrow as pa
 
-from lierb.studies.findings.columns import field_unit
+from lierb.results.columns import unit_of
 from lierb.studies.findings.sizes import ERRORS, least_drawn
 from lierb.studies.storage.results import Results
 
@@ -33,7 +33,7 @@ def other_columns(schema: pa.Schema, known: set[str]) -> list[pa.Field]:
 
 
 def axis_label(field: pa.Field) -> str:
-    unit, title = field_unit(field), field.name.replace("_", " ")
+    unit, title = unit_of(field), field.name.replace("_", " ")
     return f"{title} [{unit}]" if unit not in ("", "1") else title
 
 

@@ -12,12 +12,12 @@ import numpy as np
 
 from lierb.analysis.prediction import Prediction, joint_by_joint, predict
 from lierb.errors import LierbError
-from lierb.results.columns import as_array
+from lierb.results.columns import as_array, unit_of
 from lierb.studies.description.quantiles import CONFIDENCE, PROBABILITIES, percent
 from lierb.studies.description.settings import Setting
 from lierb.studies.description.study import Study
 from lierb.studies.findings import findings
-from lierb.studies.findings.columns import drawn_columns, field_unit, ok_columns
+from lierb.studies.findings.columns import drawn_columns, ok_columns
 from lierb.studies.findings.linear_theory import left_out
 from lierb.studies.findings.ranking import Ranking, rankings
 from lierb.studies.findings.sizes import errors_seen
@@ -128,8 +128,8 @@ def _steps_done(dataset: Results) -> int:
 def _predictions(study: Study) -> list[tuple[str, Prediction]]:
     """Return predictions for each joint of the first body; [] if no theorem applies."""
     try:
-        first = study.batch(0, 1).first
-        return list(joint_by_joint(predict(*first, update=study.integrate.update)))
+        problem, pose0, _ = study.batch(0, 1).first
+        return list(joint_by_joint(predict(problem, pose0, update=study.integrate.update)))
     except LierbError:
         return []
 
@@ -156,7 +156,7 @@ def data_url(figure: Figure) -> str:
 def _worst(dataset: Results, ranking: Ranking) -> list[dict[str, Any]]:
     """Return the worst bodies, and their sampled numbers."""
     study, drawn, worst = dataset.study, drawn_columns(dataset), []
-    unit = field_unit(dataset.table().schema.field(ranking.column))
+    unit = unit_of(dataset.table().schema.field(ranking.column))
     for setting in study.settings:
         rows = ok_columns(dataset, setting, ["trajectory", ranking.column, *drawn])
         values = rows[ranking.column]
