@@ -70,8 +70,7 @@ class States(Represented):
         saved rows. Along a history the sign jumps where w would pass through 0. The quaternion is
         computed from `rotation` on access.
         """
-        p = so3.quaternion(components(self._state("rotation", 3, 3, quantity="quaternion"), 2))
-        unit = assembled(scale(1.0 / norm(p), p))
+        unit = quaternions_of(self._state("rotation", 3, 3, quantity="quaternion"))
         unit.setflags(write=False)
         return unit
 
@@ -129,6 +128,12 @@ class LinkResult(States):
         count = counted(self.summary.num_rows, "trajectory", "trajectories")
         rows = [("arrays", f"{', '.join(STATE)}: {self._array_shape()}")]
         return f"lierb.results.states.LinkResult {self.name!r}: {count}", rows
+
+
+def quaternions_of(rotation: Array) -> Array:
+    """Return the unit quaternions (w, x, y, z) of rotation matrices."""
+    p = so3.quaternion(components(rotation, 2))
+    return assembled(scale(1.0 / norm(p), p))
 
 
 def poses_of(states: States, at: Any = ...) -> Array:

@@ -28,8 +28,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from lierb.kernels.groups import so3
-from lierb.kernels.numbers.vec import norm, scale
 from lierb.model.base import Model
 from lierb.model.bodies.body import Body
 from lierb.model.joints.joint import Joint
@@ -37,8 +35,8 @@ from lierb.results.animation.drawn_joints import drawn_joints
 from lierb.results.animation.encoding import RUNAWAY, encoded, text_of
 from lierb.results.animation.shapes import Shape, equivalent
 from lierb.results.colours import COLOURS, CSPACE_COLOURS, colours_of
-from lierb.results.states import RunStates, States, metadata_of, poses_of
-from lierb.support.arrays import Array, assembled, components
+from lierb.results.states import RunStates, States, metadata_of, poses_of, quaternions_of
+from lierb.support.arrays import Array
 
 Shapes = Shape | Mapping[str, Shape] | None
 Trails = Array | bool | Mapping[str, Array]
@@ -206,13 +204,15 @@ def _of_link(given: Shapes, name: str) -> Shape | None:
 
 def _body(link: Linked, shape: Shape, poses: Array, trail: Trails) -> dict[str, Any]:
     point = _trail(link, shape, trail)
+    with np.errstate(invalid="ignore"):  # NaN after a failure
+        turns = quaternions_of(poses[:, :3, :3])
     made = {
         "name": link.name or "body",
         "shape": {
             "vertices": _rounded(shape.vertices, shape.size).tolist(),
             "faces": shape.faces, "marked": shape.marked,
         },
-        "poses": encoded(np.hstack([_quaternions(poses), poses[:, :3, 3]])),
+        "poses": encoded(np.hstack([turns, poses[:, :3, 3]])),
         "com": link.body.com.tolist(),
         "trail": None if point is None else point.tolist(),
     }  # fmt: skip
@@ -221,12 +221,6 @@ def _body(link: Linked, shape: Shape, poses: Array, trail: Trails) -> dict[str, 
         ends = others or [link.body.com]
         made["bones"] = [[first.tolist(), end.tolist()] for end in ends]
     return made
-
-
-def _quaternions(poses: Array) -> Array:
-    with np.errstate(invalid="ignore"):  # NaN after a failure
-        p = so3.quaternion(components(poses[:, :3, :3], 2))
-        return assembled(scale(1.0 / norm(p), p))
 
 
 def _trail(link: Linked, shape: Shape, trail: Trails) -> Array | None:

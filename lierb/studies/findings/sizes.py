@@ -49,15 +49,10 @@ def sizes_of(dataset: Results, setting: Setting) -> dict[str, float]:
     those of its links, and of gravity.
     """
     study = dataset.study
-    links = [link.name for link in study.problem.links]
-    rows = dataset.table().head(
-        BODIES,
-        columns=[
-            "trajectory",
-            *(f"{prefix}{name}" for prefix in _prefixes(links) for name in STATE),
-        ],
-        filter=rows_of(setting) & IS_SUCCESS,
-    )
+    prefixes = {link.name: f"{link.name}." for link in study.problem.links} or {"": ""}
+    columns = ["trajectory", *(f"{p}{name}" for p in prefixes.values() for name in STATE)]
+    chosen = rows_of(setting) & IS_SUCCESS
+    rows = dataset.table().head(BODIES, columns=columns, filter=chosen)
     ended = as_array(rows["trajectory"])
     first = int(ended.min()) if rows.num_rows else 0
     count = min(BODIES, len(study.design) - first)
@@ -65,24 +60,19 @@ def sizes_of(dataset: Results, setting: Setting) -> dict[str, float]:
     lengths, energies = magnitudes(batch.problem, batch.pose0, batch.twist0)
     if rows.num_rows:
         seen = ended < first + count
-        ends_of_links = {}
-        for prefix in _prefixes(links):
+        poses: dict[str, Any] = {}
+        twists: dict[str, Any] = {}
+        for link, prefix in prefixes.items():
             state = {name: np.full((count, width), np.nan) for name, width in STATE.items()}
             for name, values in state.items():
                 values[ended[seen] - first] = as_array(rows[f"{prefix}{name}"])[seen]
-            pose = pose_matrix((components(state["rotation"]), components(state["position"])))
-            ends_of_links[prefix.removesuffix(".")] = pose, np.hstack((state["omega"], state["v"]))
-        poses: Any = {name: pose for name, (pose, _) in ends_of_links.items()}
-        twists: Any = {name: twist for name, (_, twist) in ends_of_links.items()}
-        ends = magnitudes(batch.problem, *((poses, twists) if links else (poses[""], twists[""])))
+            place = components(state["rotation"]), components(state["position"])
+            poses[link], twists[link] = pose_matrix(place), np.hstack((state["omega"], state["v"]))
+        end = (poses, twists) if study.problem.links else (poses[""], twists[""])
+        ends = magnitudes(batch.problem, *end)
         lengths, energies = np.fmax(lengths, ends[0]), np.fmax(energies, ends[1])
     return {
         "position": float(np.median(lengths)),
         "rotation": 1.0,
         "energy": float(np.median(energies)),
     }
-
-
-def _prefixes(links: list[str]) -> list[str]:
-    """Return the prefixes of the names of the state's columns."""
-    return [f"{name}." for name in links] or [""]

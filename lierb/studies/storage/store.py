@@ -63,23 +63,20 @@ class Store(Results):
         with naming(self.folder, "made", "choose another folder"):
             self.folder.mkdir(parents=True, exist_ok=True)
         path = self.folder / LOCK
-        lock = FileLock(path)
         try:
-            lock.acquire(timeout=0)
+            lock = FileLock(path).acquire(timeout=0)
         except Timeout:
             raise StudyError(
                 f"{self.folder} is being written by another run, which holds {path}"
             ) from None
         except (OSError, NotImplementedError) as error:  # another user's, or without locks
             raise StudyFileError(f"{path} cannot be locked: {reason(error)}; {LOCKABLE}") from error
-        try:
-            yield
-        finally:
+        with lock:
             try:
+                yield
+            finally:
                 if not self._written:
                     self._write_manifest()
-            finally:
-                lock.release()
 
     def exists(self) -> bool:
         return os.path.lexists(self.folder / MANIFEST)
