@@ -14,7 +14,7 @@ from lierb.kernels.systems.layout import Columns
 from lierb.kernels.systems.measures import MEASURES
 from lierb.model.base import Model
 from lierb.results.columns import as_array, numbers, vectors
-from lierb.results.tables import UNITS
+from lierb.results.tables import REACTION_UNITS
 from lierb.runs.derivatives import Derivatives
 from lierb.runs.output import Output
 from lierb.runs.parameters import POSE_UNITS, TWIST_UNITS, slices_of
@@ -180,5 +180,5 @@ def _quantities(columns: Columns, model: Model) -> Iterator[_Quantity]:
     names = model.joint_names or ("",)
     for name in names if columns.field("reactions").width else ():
         label = f"{name}.reaction" if name else "reaction"
-        yield _Quantity(label, slice(start, start + 6), (6,), UNITS["reaction"])
+        yield _Quantity(label, slice(start, start + 6), (6,), REACTION_UNITS)
         start += 6
