@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import os
 import shlex
-from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, nullcontext
 from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -229,18 +228,15 @@ def _require_one_way(
         raise click.UsageError("--report is on a study, --only on one trajectory; choose")
 
 
-@contextmanager
-def _client(workers: int | None, scheduler: str | None) -> Iterator[Client | None]:
-    """Start or join the cluster of the options; yield its client, or None without one."""
+def _client(workers: int | None, scheduler: str | None) -> AbstractContextManager[Client | None]:
+    """Return the context in which the cluster of the options runs: its client, or None."""
     if workers is None and scheduler is None:
-        yield None
-        return
+        return nullcontext()
     require("cluster")
     from lierb.studies.execution.cluster import client_of, local_client
 
     click.echo(f"Joining {scheduler} ..." if scheduler else "Starting the workers ...", err=True)
-    with local_client(workers) if workers else client_of(str(scheduler)) as client:
-        yield client
+    return local_client(workers) if workers else client_of(str(scheduler))
 
 
 def _results_in(folder: Path) -> Dataset:

@@ -13,6 +13,7 @@ from lierb.model.mechanism.mechanism import Mechanism
 from lierb.model.problem import Problem
 from lierb.results.states import RunStates, poses_of
 from lierb.support.arrays import Array
+from lierb.support.representations import with_unit
 
 SUBSCRIPTS = "₁₂₃₄₅₆₇₈₉"
 NEAR = 0.02  # distance of centre of mass and joint that counts as zero, in gyration radii
@@ -37,7 +38,7 @@ class Panel:
 
     @property
     def axis(self) -> str:
-        return f"{self.title} [{self.unit}]" if self.unit not in ("", "1") else self.title
+        return with_unit(self.title, self.unit)
 
 
 @dataclass(frozen=True)

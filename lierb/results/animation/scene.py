@@ -37,6 +37,7 @@ from lierb.results.animation.shapes import Shape, equivalent
 from lierb.results.colours import COLOURS, CSPACE_COLOURS, colours_of
 from lierb.results.states import RunStates, States, metadata_of, poses_of, quaternions_of
 from lierb.support.arrays import Array
+from lierb.support.representations import with_unit
 
 Shapes = Shape | Mapping[str, Shape] | None
 Trails = Array | bool | Mapping[str, Array]
@@ -262,10 +263,7 @@ def _errors(result: RunStates, joints: list[Joint], number: int, rows: Array) ->
 
 def _observed(model: Model) -> dict[str, str]:
     """Return the names and labels of the observables that have curves."""
-    return {
-        each.name: each.name if each.unit in ("", "1") else f"{each.name} [{each.unit}]"
-        for each in model.observables[:MOST_OBSERVED]
-    }
+    return {x.name: with_unit(x.name, x.unit) for x in model.observables[:MOST_OBSERVED]}
 
 
 # ---- sizes -------------------------------------------------------------------------------------

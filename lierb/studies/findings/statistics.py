@@ -100,11 +100,8 @@ def percentiles_over_time(
         for group in np.split(values[order], starts):
             alive = group[~np.isnan(group)]
             counts.append(len(alive))
-            none = np.full(len(probabilities), np.nan)
-            is_any = len(alive) > 0
-            quantiles.append(
-                np.quantile(alive, probabilities, method="inverted_cdf") if is_any else none
-            )
+            some_alive = alive if len(alive) else [np.nan]
+            quantiles.append(np.quantile(some_alive, probabilities, method="inverted_cdf"))
     unit = schema.field(name).metadata
     columns = np.array(quantiles).reshape(-1, len(probabilities)).T
     fields = [

@@ -11,6 +11,7 @@ from lierb.studies.description.study import Study
 from lierb.studies.description.study_file import ELEMENTS
 from lierb.studies.description.units import each_unit, joint_of
 from lierb.support.arrays import Array
+from lierb.support.representations import with_unit
 
 SUBSCRIPTS = str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉")
 SYMBOLS = {  # symbols of a vector's components
@@ -47,7 +48,7 @@ def labelled(
         for symbol, own, column in zip(symbols, each_unit(unit, width), columns.T, strict=True):
             if differs.any() and np.all(column == column[:1]):
                 continue
-            yield symbol if own == "1" else f"{symbol} [{own}]", column
+            yield with_unit(symbol, own), column
 
 
 def _symbols(quantity: str, width: int, is_vector: bool, study: Study) -> list[str]:

@@ -10,6 +10,7 @@ import pyarrow as pa
 from lierb.results.columns import unit_of
 from lierb.studies.findings.sizes import ERRORS, least_drawn
 from lierb.studies.storage.results import Results
+from lierb.support.representations import with_unit
 
 AXES = {
     "position": "position error [m]",
@@ -33,8 +34,7 @@ def other_columns(schema: pa.Schema, known: set[str]) -> list[pa.Field]:
 
 
 def axis_label(field: pa.Field) -> str:
-    unit, title = unit_of(field), field.name.replace("_", " ")
-    return f"{title} [{unit}]" if unit not in ("", "1") else title
+    return with_unit(field.name.replace("_", " "), unit_of(field))
 
 
 class Ordinate(NamedTuple):
