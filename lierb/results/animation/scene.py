@@ -32,7 +32,7 @@ from lierb.model.base import Model
 from lierb.model.bodies.body import Body
 from lierb.model.joints.joint import Joint
 from lierb.results.animation.drawn_joints import drawn_joints
-from lierb.results.animation.encoding import RUNAWAY, encoded, text_of
+from lierb.results.animation.encoding import RUNAWAY, encoded
 from lierb.results.animation.shapes import Shape, equivalent
 from lierb.results.colours import COLOURS, CSPACE_COLOURS, colours_of
 from lierb.results.states import RunStates, States, metadata_of, poses_of, quaternions_of
@@ -184,7 +184,7 @@ def _view(
     observed = {name: result[name][rows, number] for name in _observed(model)}
     view = {
         "title": name,
-        "t": text_of(np.ascontiguousarray(t[rows], "<f8")),  # resolves 1e-3 s after days
+        "t": encoded(t[rows], "<f8"),  # resolves 1e-3 s after days
         "bodies": [
             _body(each, own, placed, trail) for each, own, placed in zip(links, shapes, poses)
         ],
