@@ -71,8 +71,9 @@ def write_report(
         lstrip_blocks=True,
     )
     environment.globals |= {  # functions that the template calls
-        "data_url": data_url, "named": named, "orders": findings.orders, "panels_of": panels_of,
-        "rounded": rounded, "shares_of": shares_of, "with_interval": with_interval, "zip": zip,
+        "call_of": call_of, "data_url": data_url, "named": named, "orders": findings.orders,
+        "panels_of": panels_of, "rounded": rounded, "shares_of": shares_of,
+        "with_interval": with_interval, "zip": zip,
     }  # fmt: skip
     page = environment.get_template(TEMPLATE).render(_values(dataset, rank_by, probabilities))
     write_whole(path, page.encode())
@@ -155,15 +156,14 @@ def data_url(figure: Figure) -> str:
 
 def _worst(dataset: Results, ranking: Ranking) -> list[dict[str, Any]]:
     """Return the worst bodies, and their sampled numbers."""
-    study, drawn, worst = dataset.study, drawn_columns(dataset), []
+    drawn, worst = drawn_columns(dataset), []
     unit = unit_of(dataset.table().schema.field(ranking.column))
-    for setting in study.settings:
+    for setting in dataset.study.settings:
         rows = ok_columns(dataset, setting, ["trajectory", ranking.column, *drawn])
         values = rows[ranking.column]
         worst += [
-            {"ranking": named(ranking.label, unit), "value": values[i], "setting": setting.label,
+            {"ranking": named(ranking.label, unit), "value": values[i], "setting": setting,
              "trajectory": int(rows["trajectory"][i]),
-             "call": call_of(study, setting, int(rows["trajectory"][i])),
              "draws": {each.removeprefix("sample."): _drawn(rows[each][i]) for each in drawn}}
             for i in ranking.order(values)[:WORST]
         ]  # fmt: skip
@@ -180,11 +180,5 @@ def _failures(dataset: Results) -> list[dict[str, Any]]:
     """Return rows of the first bodies that failed."""
     table = dataset.table()
     columns = [*setting_columns(table.schema), "trajectory", "status", "t"]
-    rows: list[dict[str, Any]] = table.head(FAILED, columns=columns, filter=~IS_SUCCESS).to_pylist()
-    for row in rows:
-        setting = Setting.of_row(row)
-        row |= {
-            "setting": setting.label,
-            "call": call_of(dataset.study, setting, row["trajectory"]),
-        }
-    return rows
+    rows = table.head(FAILED, columns=columns, filter=~IS_SUCCESS).to_pylist()
+    return [row | {"setting": Setting.of_row(row)} for row in rows]
