@@ -98,20 +98,16 @@ def _panels(
         if known is not None and known.link_names == result.links and result.has_states:
             coordinates = Coordinates(result, known)
             made |= {name: getattr(coordinates, name) for name in COORDINATES}
-        for column in history.schema:
-            _, _, what = column.name.rpartition(".")
-            if what not in (*KEYS, "rotation") and _is_number(column.type):
-                made |= _of_column(history, column, result.summary.num_rows)
-        return made
-    if set(STATE) <= {*history.column_names}:
-        state = State(result, known)
-        for name in MOTION:
-            is_taken = name not in STATE and name in history.column_names  # named by an observable
-            made[f"{name} of the motion" if is_taken else name] = getattr(state, name)
+        left_out = {*KEYS, "rotation"}
+    else:
+        if set(STATE) <= {*history.column_names}:
+            state = State(result, known)
+            for name in MOTION:  # an observable may have such a name
+                is_taken = name not in STATE and name in history.column_names
+                made[f"{name} of the motion" if is_taken else name] = getattr(state, name)
+        left_out = {*KEYS, *STATE[:-1], *_without_rows(known)}
     for column in history.schema:
-        if column.name in (*KEYS, *STATE[:-1]) or not _is_number(column.type):
-            continue
-        if column.name not in _without_rows(known):
+        if column.name.rpartition(".")[2] not in left_out and _is_number(column.type):
             made |= _of_column(history, column, result.summary.num_rows)
     return made
 
