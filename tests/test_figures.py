@@ -240,7 +240,7 @@ def test_worst_and_median_trajectories_run_again_as_in_the_study(dataset, given)
     worst = max(rows, key=lambda row: row["position_error_max"])
     same = [row for row in rows if (row["cspace"], row["dt"]) == (worst["cspace"], worst["dt"])]
     ranked = sorted(same, key=lambda row: row["position_error_max"])
-    picked = replays.chosen(dataset, given, Ranking("position_error_max"))
+    picked = replays.chosen(dataset, Ranking("position_error_max"))
     assert picked.trajectories == {"worst": worst["trajectory"], "median": ranked[9]["trajectory"]}
     assert [s.cspace for s in picked.settings] == ["SE3", "SO3xR3"]
     assert {s.dt for s in picked.settings} == {worst["dt"]}
@@ -261,7 +261,7 @@ def test_of_a_study_that_failed_the_first_failure_is_shown(tmp_path):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", FailedTrajectoryWarning)
         done = lierb.run(given, tmp_path / "out")
-    picked = replays.chosen(done, given, Ranking("position_error_max"))
+    picked = replays.chosen(done, Ranking("position_error_max"))
     assert picked.trajectories == {"failed": 0}
     assert picked.ranking is None
     animation = replays.replayed(given, picked)

@@ -72,7 +72,7 @@ def test_gap_of_a_loop_is_how_far_its_ends_are_apart(turning):
 
 def test_gap_of_links_is_what_the_child_is_moved_by():
     """Of poses that are off, as on SE(3)²: along the pin, and across it."""
-    from lierb.results.animation.gaps import gap_of
+    from lierb.results.animation.drawn_joints import gap_of
 
     pendulum = double_pendulum()
     poses = pendulum.pose({"upper": [0.3, 0.7], "lower": 0.4})

@@ -389,7 +389,7 @@ def test_sizes_are_those_of_the_motion(results):
 
     scale, study, done = results
     for setting in study.settings:
-        sizes = sizes_of(done, study, setting)
+        sizes = sizes_of(done, setting)
         assert 0.30 < sizes["position"] / scale.length < 0.32
         joule = scale.mass * (scale.length / scale.time) ** 2
         assert 9.0 < sizes["energy"] / joule < 27.0
@@ -400,11 +400,11 @@ def test_sizes_are_those_of_the_motion(results):
 def test_errors_of_small_bodies_are_drawn(results):
     """The drift on SO(3)×R³, 1e-7 of the top's length, where figures would draw none."""
     study_plots = pytest.importorskip("lierb.studies.pages.figures")
-    from lierb.studies.findings.findings import errors_seen, least_drawn
+    from lierb.studies.findings.sizes import errors_seen, least_drawn
 
-    scale, study, done = results
-    assert list(errors_seen(done, study)) == ["position", "energy"]
-    least = least_drawn(done, study)["position"]
+    scale, _, done = results
+    assert list(errors_seen(done)) == ["position", "energy"]
+    least = least_drawn(done)["position"]
     panel = study_plots.figure(done, "order").axes[0]
     # Of SE(3) all are zero, and no line is drawn; the line of the method's order has no markers.
     median, most, worst = [line.get_ydata() for line in panel.lines if line.get_marker() != "None"]

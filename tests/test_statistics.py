@@ -20,15 +20,9 @@ from lierb.studies.description.quantiles import Quantile, quantile_of, share_wid
 from lierb.studies.description.settings import Setting
 from lierb.studies.description.study import Study
 from lierb.studies.execution import cluster
-from lierb.studies.findings.findings import (
-    ERRORS,
-    SettingErrors,
-    errors_seen,
-    findings,
-    indices,
-    quantities,
-)
+from lierb.studies.findings.findings import SettingErrors, findings, indices, quantities
 from lierb.studies.findings.occurrences import Occurred
+from lierb.studies.findings.sizes import ERRORS, errors_seen
 from lierb.studies.findings.statistics import Sensitivity, Spread, percentiles_over_time
 from lierb.studies.findings.tables import (
     table_of,
@@ -122,7 +116,7 @@ SIGMAS = "0.135,2.275,15.87,50,84.13,97.725,99.99993"  # −3 to 3 standard devi
 def test_show_prints_the_quantiles_asked_for_in_80_columns(whole):
     shown = invoke("show", whole.folder, "--quantiles", SIGMAS).stdout
     for percentage in SIGMAS.split(","):
-        assert shown.count(f" {percentage}% ") == 2 * len(errors_seen(whole, study()))
+        assert shown.count(f" {percentage}% ") == 2 * len(errors_seen(whole))
     *tables, folder = shown.splitlines()
     assert max(map(len, tables)) <= 80
     assert str(whole.folder) in folder

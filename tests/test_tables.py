@@ -149,6 +149,24 @@ def test_multiplier_units_are_those_of_the_rows():
 
 
 @pytest.mark.slow
+def test_a_state_may_have_another_shape_in_the_next_run():
+    """Schemas are kept from run to run, by names and shapes."""
+
+    @lierb.states(turn=0.0)
+    def one(omega):
+        return {"turn": omega[0]}
+
+    @lierb.states(turn=(0.0, 0.0))
+    def two(omega):
+        return {"turn": omega[:2]}
+
+    for states, shape in ((one(), (1,)), (two(), (1, 2))):
+        flight = lierb.Problem(lierb.bodies.sphere(0.1, mass=1.0), joints.free(), states=states)
+        result = lierb.integrate(flight, twist0=np.ones(6), dt=0.1, t_end=0.2)
+        assert result["turn"].shape == shape
+
+
+@pytest.mark.slow
 def test_multipliers_of_a_free_body_survive_parquet(tmp_path):
     # there are none; Arrow's Parquet reader refuses a column of lists of length 0
     parquet = pytest.importorskip("pyarrow.parquet")

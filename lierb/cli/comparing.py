@@ -150,7 +150,8 @@ def _control(study: Study, dts: list[float], rtols: list[float]) -> dict[str, An
         if run.is_adaptive:
             rtols = [setting.step for setting in study.settings]
         else:
-            dts = _steps(study)
+            first = run.dt[0]  # of a single step its half and quarter too, to give an order
+            dts = run.dt if len(run.dt) > 1 else [first, first / 2, first / 4]
     atol = run.atol if rtols else None
     return {"dts": dts or None, "rtols": list(dict.fromkeys(rtols)) or None, "atol": atol}
 
@@ -161,12 +162,6 @@ def _left_out(study: Study) -> list[str]:
     keys = ("dt_min", "dt_max", "max_steps", "save_every", "save_at", "record", "sensitivities")
     left = [key for key in keys if getattr(run, key) not in (None, [])]
     return [*left, "dt"] if run.is_adaptive and run.dt else left
-
-
-def _steps(study: Study) -> list[float]:
-    """Return the steps of the study; add half and quarter to a single one, to give an order."""
-    dts = study.integrate.dt
-    return [dts[0], dts[0] / 2, dts[0] / 4] if len(dts) == 1 else dts
 
 
 def _table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> Table:

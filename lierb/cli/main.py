@@ -18,7 +18,7 @@ from lierb.cli.comparing import compare
 from lierb.cli.terminal import INTERRUPTED, print_whole, progress_of_cases, wrapped
 from lierb.errors import LierbError
 from lierb.support.extras import MissingExtraError, require
-from lierb.support.representations import counted
+from lierb.support.representations import counted, rounded
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -26,9 +26,7 @@ if TYPE_CHECKING:
     from lierb.analysis.paper import Finding, PaperReport
 
 
-NO_CACHE = (
-    "none: the JIT is off, or no folder can be written"  # text in place of the cache's folder
-)
+NO_CACHE = "none: the JIT is off, or no folder can be written"  # in place of the cache's folder
 
 
 class Commands(click.Group):
@@ -248,18 +246,12 @@ def _error_cells(findings: list[Finding]) -> list[list[str]]:
     """Return the cells of each step size: the step, the position error, the rotation error."""
     by_quantity = {finding.quantity: finding.errors for finding in findings}
     dts = findings[0].dts
-    absent = [None] * len(dts)
+    absent = [math.nan] * len(dts)
     columns = [by_quantity.get(quantity, absent) for quantity in ("position", "rotation")]
     return [
-        [f"{dt:.0e}".replace("e-0", "e-"), *map(_number, errors)]
+        [f"{dt:.0e}".replace("e-0", "e-"), *map(rounded, errors)]
         for dt, *errors in zip(dts, *columns)
     ]
-
-
-def _number(error: float | None) -> str:
-    if error is None:
-        return "–"
-    return f"{error:.1e}" if error else "0"
 
 
 def _judgement_cells(findings: list[Finding]) -> list[list[str]]:

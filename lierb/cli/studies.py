@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import os
 import shlex
-from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, nullcontext
 from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -229,18 +228,15 @@ def _require_one_way(
         raise click.UsageError("--report is on a study, --only on one trajectory; choose")
 
 
-@contextmanager
-def _client(workers: int | None, scheduler: str | None) -> Iterator[Client | None]:
-    """Start or join the cluster of the options; yield its client, or None without one."""
+def _client(workers: int | None, scheduler: str | None) -> AbstractContextManager[Client | None]:
+    """Return the context in which the cluster of the options runs: its client, or None."""
     if workers is None and scheduler is None:
-        yield None
-        return
+        return nullcontext()
     require("cluster")
     from lierb.studies.execution.cluster import client_of, local_client
 
     click.echo(f"Joining {scheduler} ..." if scheduler else "Starting the workers ...", err=True)
-    with local_client(workers) if workers else client_of(str(scheduler)) as client:
-        yield client
+    return local_client(workers) if workers else client_of(str(scheduler))
 
 
 def _results_in(folder: Path) -> Dataset:
@@ -308,7 +304,8 @@ def predict(study: Path, changes: Changes) -> None:
     from lierb.studies.description.study import Study
 
     loaded = Study.load(study, changes)
-    prediction = predict_joints(*loaded.batch(0, 1).first, update=loaded.integrate.update)
+    problem, pose0, _ = loaded.batch(0, 1).first
+    prediction = predict_joints(problem, pose0, update=loaded.integrate.update)
     click.echo(str(prediction))
     for joint, each in joint_by_joint(prediction):
         click.echo(wrapped(f"{', '.join(filter(None, (joint, each.cspace)))}: {each.reason}"))
@@ -350,36 +347,24 @@ def _report(
 
 
 def _show(dataset: Dataset, probabilities: tuple[float, ...]) -> None:
-    from lierb.studies.findings.findings import (
-        crossings,
-        findings,
-        indices,
-        linear_theories,
-        quantities,
-    )
-    from lierb.studies.findings.linear_theory import left_out
-    from lierb.studies.findings.tables import (
-        table_of,
-        table_of_events,
-        table_of_indices,
-        table_of_linear_theory,
-        table_of_quantities,
-    )
+    from lierb.studies.findings import findings, linear_theory, tables
 
-    print_whole(table_of(findings(dataset)))
-    click.echo()
-    print_whole(table_of_quantities(quantities(dataset, probabilities)))
-    if events := crossings(dataset, probabilities):
-        click.echo()
-        print_whole(table_of_events(events, dataset.manifest["study"]["integrate"]["t_end"]))
-    if sensitivities := indices(dataset):
-        click.echo()
-        print_whole(table_of_indices(sensitivities))
-    if theory := linear_theories(dataset, probabilities):
-        click.echo()
-        print_whole(table_of_linear_theory(theory))
-        for line in (*left_out(theory), *(each.warning for each in theory if each.warning)):
-            click.secho(wrapped(line), fg="yellow")
+    shown = [
+        tables.table_of(findings.findings(dataset)),
+        tables.table_of_quantities(findings.quantities(dataset, probabilities)),
+    ]
+    if events := findings.crossings(dataset, probabilities):
+        shown.append(tables.table_of_events(events, dataset.study.integrate.t_end))
+    if indices := findings.indices(dataset):
+        shown.append(tables.table_of_indices(indices))
+    if theory := findings.linear_theories(dataset, probabilities):
+        shown.append(tables.table_of_linear_theory(theory))
+    for n, table in enumerate(shown):
+        if n:
+            click.echo()
+        print_whole(table)
+    for line in (*linear_theory.left_out(theory), *(t.warning for t in theory if t.warning)):
+        click.secho(wrapped(line), fg="yellow")
     done, total = len(dataset.parts), dataset.manifest["asked"]
     state = dataset.rest(f"the rest with: {_again(dataset, '--resume')}")
     click.echo(f"{dataset.folder}: {done} of {total} parts{state}")

@@ -56,6 +56,12 @@ def repeated(value: str, rows: int) -> pa.Array:
     return pa.DictionaryArray.from_arrays(numbers(np.zeros(rows, np.int32)), texts([value]))
 
 
+def unit_of(field: pa.Field) -> str:
+    """Return a field's unit; "" if it has none."""
+    unit: bytes = (field.metadata or {}).get(b"unit", b"")
+    return unit.decode()
+
+
 def as_array(column: pa.ChunkedArray) -> NDArray:
     """Return a column as a read-only array, (rows,), or (rows, width) for fixed-size lists.
 

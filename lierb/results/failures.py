@@ -12,16 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lierb.errors import FailedTrajectoryWarning
-from lierb.kernels.systems.state import (
-    DT_MIN,
-    EVENT,
-    MAX_STEPS,
-    NO_CONVERGENCE,
-    NON_FINITE,
-    OK,
-    RAISED,
-    SINGULAR,
-)
+from lierb.kernels.systems import state
 from lierb.results.columns import as_codes
 from lierb.support.collected_warnings import are_warnings_collected
 
@@ -29,16 +20,16 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 STATUS_NAMES = {
-    OK: "ok",
-    SINGULAR: "singular",
-    NON_FINITE: "non_finite",
-    RAISED: "raised",
-    NO_CONVERGENCE: "no_convergence",
-    MAX_STEPS: "max_steps",
-    DT_MIN: "dt_min",
-    EVENT: "event",
+    state.OK: "ok",
+    state.SINGULAR: "singular",
+    state.NON_FINITE: "non_finite",
+    state.RAISED: "raised",
+    state.NO_CONVERGENCE: "no_convergence",
+    state.MAX_STEPS: "max_steps",
+    state.DT_MIN: "dt_min",
+    state.EVENT: "event",
 }
-SUCCESSES = (STATUS_NAMES[OK], STATUS_NAMES[EVENT])  # statuses without failure
+SUCCESSES = (STATUS_NAMES[state.OK], STATUS_NAMES[state.EVENT])  # statuses without failure
 REMEDIES = {
     "singular": "singular: the constraint rows contradicted each other, as in a configuration that "
     "the joint cannot be in, or where it has drifted open; or a projection onto them was larger "
@@ -106,8 +97,8 @@ class Failures:
         first = _row(summary, int(failed.argmax()))
         numbers = {name: int(count) for name, count in zip(names, counts, strict=True) if count}
         raised = None
-        if STATUS_NAMES[RAISED] in numbers:
-            row = _row(summary, int((codes == names.index(STATUS_NAMES[RAISED])).argmax()))
+        if STATUS_NAMES[state.RAISED] in numbers:
+            row = _row(summary, int((codes == names.index(STATUS_NAMES[state.RAISED])).argmax()))
             what = (summary.schema.metadata or {}).get(RAISED_KEY, b"").decode()
             raised = Raised(row["trajectory"], row["t"], what) if what else None
         return cls(len(failed), numbers, **first, raised=raised)

@@ -9,18 +9,18 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Iterable, Sequence
 from functools import partial
-from itertools import pairwise
+from itertools import cycle, pairwise
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
 
-from lierb.errors import ArgumentError, items_of, unknown_name
+from lierb.errors import ArgumentError, items_of, require_name
 from lierb.model.mechanism.mechanism import Mechanism
 from lierb.model.problem import Problem
-from lierb.results.columns import as_array
+from lierb.results.columns import as_array, unit_of
 from lierb.results.motion_panels import SUBSCRIPTS, Coordinates, Panel, Series, State, Trace
-from lierb.results.states import RunStates
+from lierb.results.states import RunStates, chosen_trajectories
 from lierb.support.arrays import Array
 from lierb.support.extras import require
 
@@ -31,6 +31,7 @@ from matplotlib.figure import Figure  # noqa: E402
 from matplotlib.lines import Line2D  # noqa: E402
 
 from lierb.results.colours import COLOURS  # noqa: E402
+from lierb.results.panels import positive  # noqa: E402
 from lierb.results.plots import STYLE, ShownFigure  # noqa: E402
 
 MOST_LINES = 6  # most trajectories drawn one by one; for more, quantiles are drawn
@@ -61,11 +62,12 @@ def history_figure(
             "there is no history to plot: integrate with save_every=… or save_at=…, and record="
             '["state", "energy"] for motion and energy'
         )
-    chosen = _numbers(trajectories, result.summary.num_rows)
+    count = result.summary.num_rows
+    chosen = chosen_trajectories(trajectories, count, count)
     names = (columns,) if isinstance(columns, str) else items_of("columns", columns, "names")
     made = _panels(result, problem)
     shown = _chosen(made, names)
-    t = as_array(result.history["t"]).reshape(-1, result.summary.num_rows)[:, 0]
+    t = as_array(result.history["t"]).reshape(-1, count)[:, 0]
     with matplotlib.rc_context(STYLE):
         return _drawn([make() for make in shown], t, chosen)
 
@@ -74,28 +76,11 @@ def _chosen(
     made: dict[str, Callable[[], Panel | Trace | None]], names: Sequence[str]
 ) -> list[Callable[[], Any]]:
     for name in names:
-        if name not in made:
-            raise unknown_name("columns", name, made)
+        require_name("columns", name, made)
     default = {name for name in made if name not in ON_REQUEST and "." not in name}
     if not default & {*MOTION, *COORDINATES}:  # a mechanism whose joints are unknown
         default |= {name for name in made if name.rpartition(".")[2] in MOTION}
     return [make for name, make in made.items() if name in (names or default)]
-
-
-def _numbers(given: Any, count: int) -> list[int]:
-    if given is None:
-        return list(range(count))
-    numbers = (
-        [given]
-        if isinstance(given, (int, np.integer))
-        else list(items_of("trajectories", given, "whole numbers"))
-    )
-    for number in numbers:
-        if not (isinstance(number, (int, np.integer)) and 0 <= number < count):
-            raise ArgumentError(f"trajectories has {number!r}; expected 0 … {count - 1}")
-    if not numbers:
-        raise ArgumentError("trajectories is empty; expected numbers of trajectories")
-    return [int(number) for number in numbers]
 
 
 # ---- panels ------------------------------------------------------------------------------------
@@ -113,20 +98,16 @@ def _panels(
         if known is not None and known.link_names == result.links and result.has_states:
             coordinates = Coordinates(result, known)
             made |= {name: getattr(coordinates, name) for name in COORDINATES}
-        for column in history.schema:
-            _, _, what = column.name.rpartition(".")
-            if what not in (*KEYS, "rotation") and _is_number(column.type):
-                made |= _of_column(history, column, result.summary.num_rows)
-        return made
-    if set(STATE) <= {*history.column_names}:
-        state = State(result, known)
-        for name in MOTION:
-            is_taken = name not in STATE and name in history.column_names  # named by an observable
-            made[f"{name} of the motion" if is_taken else name] = getattr(state, name)
+        left_out = {*KEYS, "rotation"}
+    else:
+        if set(STATE) <= {*history.column_names}:
+            state = State(result, known)
+            for name in MOTION:  # an observable may have such a name
+                is_taken = name not in STATE and name in history.column_names
+                made[f"{name} of the motion" if is_taken else name] = getattr(state, name)
+        left_out = {*KEYS, *STATE[:-1], *_without_rows(known)}
     for column in history.schema:
-        if column.name in (*KEYS, *STATE[:-1]) or not _is_number(column.type):
-            continue
-        if column.name not in _without_rows(known):
+        if column.name.rpartition(".")[2] not in left_out and _is_number(column.type):
             made |= _of_column(history, column, result.summary.num_rows)
     return made
 
@@ -146,18 +127,15 @@ def _is_number(kind: pa.DataType) -> bool:
 
 def _of_column(history: pa.Table, column: pa.Field, count: int) -> dict[str, Callable[[], Panel]]:
     """Return a panel for each unit of a column's components."""
-    metadata = column.metadata or {}
     width = column.type.list_size if pa.types.is_fixed_size_list(column.type) else 1
-    units = metadata.get(b"unit", b"").decode().split(", ")
+    units = unit_of(column).split(", ")
     units = units if len(units) == width else units[:1] * width
 
     def panel(unit: str, title: str, label: str) -> Panel:
         values = as_array(history[column.name]).reshape(-1, count, width)
         mine = [i for i in range(width) if units[i] == unit]
-        labels = [
-            label if width == 1 else f"{label}{SUBSCRIPTS[n % 9]}" for n, _ in enumerate(mine)
-        ]
-        series = tuple(Series(name, values[..., i]) for name, i in zip(labels, mine))
+        labels = [f"{label}{each}" for each in SUBSCRIPTS] if width > 1 else [label]
+        series = tuple(Series(name, values[..., i]) for name, i in zip(cycle(labels), mine))
         is_error = column.name.endswith(("_error", "_drift"))
         return Panel(title, unit, series, is_error)
 
@@ -225,7 +203,7 @@ def _draw_panel(axes: Axes, panel: Panel, t: Array, chosen: list[int]) -> None:
         else:
             for i in range(len(chosen)):
                 colour = own if alone else COLOURS[i % len(COLOURS)]
-                line = _positive(values[:, i]) if panel.is_error else values[:, i]
+                line = positive(values[:, i], 0.0) if panel.is_error else values[:, i]
                 axes.plot(t, line, color=colour, linestyle=dash, linewidth=1.1)
         legend = own if alone or many else "#333333"
         axes.plot([], [], color=legend, linestyle=dash, label=series.label)
@@ -241,18 +219,13 @@ def _draw_panel(axes: Axes, panel: Panel, t: Array, chosen: list[int]) -> None:
     axes.set_xlim(t[0], t[-1] if t[-1] > t[0] else None)
 
 
-def _positive(errors: Array) -> Array:
-    """Return errors with NaN for zeros, which leave gaps."""
-    return np.where(errors > 0.0, errors, np.nan)
-
-
 def _draw_bands(axes: Axes, t: Array, values: Array, colour: str, is_error: bool) -> None:
     with warnings.catch_warnings(), np.errstate(all="ignore"):
         warnings.simplefilter("ignore", RuntimeWarning)  # all trajectories may have failed
         low, median, high = np.nanquantile(values, QUANTILES, axis=1)
         most = np.nanmax(values, axis=1)
     if is_error:
-        low, median, high, most = map(_positive, (low, median, high, most))
+        low, median, high, most = positive((low, median, high, most), 0.0)
     axes.plot(t, median, color=colour, linewidth=1.3)
     axes.fill_between(t, low, high, color=colour, alpha=0.2, linewidth=0)
     if is_error:

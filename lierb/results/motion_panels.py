@@ -11,8 +11,9 @@ from lierb.model.joints.coordinates import motions_of
 from lierb.model.joints.motions import TURNS
 from lierb.model.mechanism.mechanism import Mechanism
 from lierb.model.problem import Problem
-from lierb.results.states import RunStates
+from lierb.results.states import RunStates, poses_of
 from lierb.support.arrays import Array
+from lierb.support.representations import with_unit
 
 SUBSCRIPTS = "₁₂₃₄₅₆₇₈₉"
 NEAR = 0.02  # distance of centre of mass and joint that counts as zero, in gyration radii
@@ -37,7 +38,7 @@ class Panel:
 
     @property
     def axis(self) -> str:
-        return f"{self.title} [{self.unit}]" if self.unit not in ("", "1") else self.title
+        return with_unit(self.title, self.unit)
 
 
 @dataclass(frozen=True)
@@ -84,12 +85,7 @@ class Coordinates:
     @cached_property
     def _coordinates(self) -> dict[str, Array]:
         """Return the coordinates of each link, (times, trajectories, k); NaN after a failure."""
-        poses: dict[str, Array] = {}
-        for name in self.mechanism.names:
-            link = self.result[name]
-            pose = np.zeros((*link.position.shape[:2], 4, 4))
-            pose[..., :3, :3], pose[..., :3, 3], pose[..., 3, 3] = link.rotation, link.position, 1.0
-            poses[name] = pose
+        poses = {name: poses_of(self.result[name]) for name in self.mechanism.names}
         lost = np.any([~np.isfinite(pose).all(axis=(2, 3)) for pose in poses.values()], axis=0)
         for pose in poses.values():
             pose[lost] = np.eye(4)
@@ -107,10 +103,8 @@ class State:
     """Panels of poses and velocities."""
 
     def __init__(self, result: RunStates, problem: Problem | None) -> None:
-        self.rotation, self.place = result.rotation, result.position
-        self.spin, self.problem = result.omega, problem
-        times, count = self.place.shape[:2]
-        self.batch = (times, count)
+        self.result, self.problem = result, problem
+        self.rotation = result.rotation
 
     @property
     def _has_coordinates(self) -> bool:
@@ -158,9 +152,8 @@ class State:
     def position(self) -> Panel | None:
         """Return the position of the centre of mass; None if it rests."""
         com = np.zeros(3) if self.problem is None else np.asarray(self.problem.body.com)
-        place = self.place + np.einsum("tnij,...j->tni", self.rotation, np.atleast_2d(com)[0])
-        if com.ndim == 2:
-            place = self.place + np.einsum("tnij,nj->tni", self.rotation, com)
+        com = np.broadcast_to(com, self.rotation.shape[1:3])
+        place = self.result.position + np.einsum("tnij,nj->tni", self.rotation, com)
         if np.nanmax(np.ptp(place, axis=0), initial=0.0) == 0.0:
             return None
         series = tuple(Series(f"r{SUBSCRIPTS[i]}", place[..., i]) for i in range(3))
@@ -168,15 +161,14 @@ class State:
 
     def omega(self) -> Panel:
         """Return the angular velocity in body axes."""
-        series = tuple(Series(f"ω{SUBSCRIPTS[i]}", self.spin[..., i]) for i in range(3))
+        omega = self.result.omega
+        series = tuple(Series(f"ω{SUBSCRIPTS[i]}", omega[..., i]) for i in range(3))
         return Panel("angular velocity", "rad/s", series)
 
     def _coordinates(self) -> Array:
         """Return the joint's coordinates, (times, trajectories, k); NaN after a failure."""
         assert self.problem is not None
-        joint, (times, count) = self.problem.joint, self.batch
-        poses = np.zeros((times, count, 4, 4))
-        poses[..., :3, :3], poses[..., :3, 3], poses[..., 3, 3] = self.rotation, self.place, 1.0
+        joint, poses = self.problem.joint, poses_of(self.result)
         lost = ~np.isfinite(poses).all(axis=(2, 3))
         poses[lost] = np.eye(4)
         angles = np.stack([joint.coordinates(each) for each in poses])
@@ -204,7 +196,7 @@ class State:
                 is_apart = bool(np.all(far > NEAR * gyration))
                 own = arm / far if is_apart else frame[:, :3, 2]
                 name = "the centre of mass" if is_apart else "e₃ of the joint on the body"
-        own = np.broadcast_to(np.atleast_2d(own), (self.batch[1], 3))
+        own = np.broadcast_to(np.atleast_2d(own), self.rotation.shape[1:3])
         return np.einsum("tnij,nj->tni", self.rotation, own), up, name
 
 

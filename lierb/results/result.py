@@ -12,20 +12,13 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import NDArray
 
-from lierb.errors import ArgumentError, brief, require_name, unknown_name
+from lierb.errors import ArgumentError, brief, require_name
 from lierb.model.problem import Problem
 from lierb.results.animation.page import Animation, animate, described_links
-from lierb.results.columns import as_array, as_codes
+from lierb.results.columns import as_array, as_codes, unit_of
 from lierb.results.failures import Failures, has_failed
 from lierb.results.sensitivities import Sensitivities
-from lierb.results.states import (
-    STATE,
-    RunStates,
-    _kinds_of,
-    _metadata,
-    _scalars,
-    _unit,
-)
+from lierb.results.states import STATE, RunStates, _kinds_of, _scalars, metadata_of
 from lierb.support.arrays import is_whole
 from lierb.support.extras import require
 from lierb.support.representations import FAILED, Lines, counted, steps_text
@@ -168,8 +161,7 @@ class Result(RunStates):
         """
         table = self._table("events")
         codes, names = as_codes(table["event"])
-        if event not in names:
-            raise unknown_name("event", event, names)
+        require_name("event", event, names)
         if not (is_whole(trajectory) and trajectory in as_array(self.summary["trajectory"])):
             raise ArgumentError(
                 f"trajectory={brief(trajectory)}; expected a number in the column trajectory of "
@@ -292,7 +284,7 @@ class Result(RunStates):
         require("pandas")
         chosen = self._expanded(table)
         frame = chosen.to_pandas()
-        frame.attrs["units"] = {f.name: _unit(f) for f in chosen.schema if _unit(f)}
+        frame.attrs["units"] = {f.name: unit_of(f) for f in chosen.schema if unit_of(f)}
         return frame
 
     def to_polars(self, table: str = "summary") -> polars.DataFrame:
@@ -341,10 +333,10 @@ class Result(RunStates):
         return table
 
     def _representation(self) -> tuple[str, Lines]:
-        options = _metadata(self.summary).get("options")
+        options = metadata_of(self.summary).get("options")
         title = f"lierb.Result: {counted(self.summary.num_rows, 'trajectory', 'trajectories')}"
         if self.links:
-            links = described_links(_metadata(self.summary))
+            links = described_links(metadata_of(self.summary))
             title += f" of {links or counted(len(self.links), 'link')}"
         if options:
             times = "from t = {t0:g} s to {t_end:g} s" if options["t0"] else "to t = {t_end:g} s"
@@ -388,13 +380,13 @@ class Result(RunStates):
 
     def _largest(self) -> Lines:
         """Return the row of the largest errors of the trajectories that are ok."""
-        ok, kinds = ~has_failed(self.summary), _kinds_of(_metadata(self.summary))
+        ok, kinds = ~has_failed(self.summary), _kinds_of(metadata_of(self.summary))
         if not ok.any():
             return []
         texts = []
         for name in kinds:
             column = self.summary.schema.field(f"{name}_max")
-            unit = _unit(column)
+            unit = unit_of(column)
             largest = as_array(self.summary[column.name])[ok].max()
             plain = name.replace("_", " ")
             where = self._where(column.name, largest, ok)
@@ -403,14 +395,9 @@ class Result(RunStates):
 
     def _where(self, column: str, largest: float, ok: NDArray[np.bool_]) -> str:
         """Return the joint with the largest error, in parentheses; "" without one."""
-        for name in self.summary.column_names:
+        for name in self.summary.column_names if largest else ():
             joint, _, what = name.rpartition(".")
-            if (
-                joint
-                and what == column
-                and largest
-                and as_array(self.summary[name])[ok].max() == largest
-            ):
+            if joint and what == column and as_array(self.summary[name])[ok].max() == largest:
                 return f" ({joint})"
         return ""
 
@@ -420,7 +407,7 @@ class Result(RunStates):
         times = self.history.num_rows // self.summary.num_rows
         there = {name.rpartition(".")[2] for name in self.history.column_names}
         more = [name for name in ("energy", "work", "lambda", "reaction") if name in there]
-        problem = _metadata(self.summary).get("problem", {})
+        problem = metadata_of(self.summary).get("problem", {})
         more += [each["name"] for each in problem.get(OBSERVED, [])]
         recorded = ", ".join(["errors", *["state"] * self.has_states, *more])
         return f"{counted(times, 'time')}: {recorded}"

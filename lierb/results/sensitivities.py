@@ -9,12 +9,12 @@ from typing import NamedTuple
 import numpy as np
 import pyarrow as pa
 
-from lierb.errors import unknown_name
+from lierb.errors import require_name
 from lierb.kernels.systems.layout import Columns
 from lierb.kernels.systems.measures import MEASURES
 from lierb.model.base import Model
 from lierb.results.columns import as_array, numbers, vectors
-from lierb.results.tables import UNITS
+from lierb.results.tables import REACTION_UNITS
 from lierb.runs.derivatives import Derivatives
 from lierb.runs.output import Output
 from lierb.runs.parameters import POSE_UNITS, TWIST_UNITS, slices_of
@@ -54,11 +54,8 @@ class Sensitivities(NamedTuple):
 
     def array(self, of: str, with_respect_to: str) -> Array:
         """Return the derivatives of a quantity by a parameter; see `Result.sensitivity`."""
-        for argument, name, known in (
-            ("of", of, self.quantities), ("with_respect_to", with_respect_to, self.parameters)
-        ):  # fmt: skip
-            if name not in known:
-                raise unknown_name(argument, name, known)
+        require_name("of", of, self.quantities)
+        require_name("with_respect_to", with_respect_to, self.parameters)
         column = f"{of}{SEPARATOR}{with_respect_to}"
         lead: tuple[int, ...] = (self.summary.num_rows,)
         table = self.summary
@@ -115,10 +112,7 @@ def sensitivities(
 ) -> Sensitivities:
     """Return the tables of derivatives.   history : of the run, whose rows they share."""
     count = len(output.status)
-    columns = {
-        "trajectory": numbers(np.arange(count, dtype=np.int64)),
-        "t": numbers(output.t),
-    }
+    columns = {"trajectory": numbers(np.arange(count, dtype=np.int64)), "t": numbers(output.t)}
     fields = [pa.field(name, array.type) for name, array in columns.items()]
     ends = [*_columns(derivatives, derivatives.ends, model)]
     if any(event.terminal for event in model.events):
@@ -186,5 +180,5 @@ def _quantities(columns: Columns, model: Model) -> Iterator[_Quantity]:
     names = model.joint_names or ("",)
     for name in names if columns.field("reactions").width else ():
         label = f"{name}.reaction" if name else "reaction"
-        yield _Quantity(label, slice(start, start + 6), (6,), UNITS["reaction"])
+        yield _Quantity(label, slice(start, start + 6), (6,), REACTION_UNITS)
         start += 6

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from lierb.errors import ArgumentError, unknown_name
+from lierb.errors import ArgumentError, brief, items_of, unknown_name
 from lierb.kernels.groups import so3
 from lierb.kernels.mechanics.rows import JOINT_ROWS
 from lierb.kernels.mechanics.spatial import wrench_from
@@ -18,9 +18,9 @@ from lierb.kernels.numbers.vec import ZERO6, Vec, add, norm, scale
 from lierb.model.base import rigid_of
 from lierb.model.bodies.body import Body
 from lierb.model.functions.column_names import COMPONENTS
-from lierb.results.columns import as_array, numbers
+from lierb.results.columns import as_array, numbers, unit_of
 from lierb.runs.continuation import End
-from lierb.support.arrays import Array, assembled, components
+from lierb.support.arrays import Array, assembled, components, is_whole, pose_matrix
 from lierb.support.representations import Lines, Represented, counted
 
 STATE = ("t", "position", "rotation", "quaternion", "omega", "v")
@@ -70,8 +70,7 @@ class States(Represented):
         saved rows. Along a history the sign jumps where w would pass through 0. The quaternion is
         computed from `rotation` on access.
         """
-        p = so3.quaternion(components(self._state("rotation", 3, 3, quantity="quaternion"), 2))
-        unit = assembled(scale(1.0 / norm(p), p))
+        unit = quaternions_of(self._state("rotation", 3, 3, quantity="quaternion"))
         unit.setflags(write=False)
         return unit
 
@@ -131,6 +130,18 @@ class LinkResult(States):
         return f"lierb.results.states.LinkResult {self.name!r}: {count}", rows
 
 
+def quaternions_of(rotation: Array) -> Array:
+    """Return the unit quaternions (w, x, y, z) of rotation matrices."""
+    p = so3.quaternion(components(rotation, 2))
+    return assembled(scale(1.0 / norm(p), p))
+
+
+def poses_of(states: States, at: Any = ...) -> Array:
+    """Return the homogeneous matrices of a history.   at : indices of times and trajectories."""
+    rotation, position = states.rotation[at], states.position[at]
+    return pose_matrix((components(rotation, 2), components(position)))
+
+
 def _momentum_of(body: Body, link: States) -> Vec:
     """Return the momentum of one body about the ground's origin, in the ground's axes."""
     momentum = rigid_of(body).momentum(components(link.omega) + components(link.v))
@@ -138,11 +149,24 @@ def _momentum_of(body: Body, link: States) -> Vec:
     return wrench_from(place, momentum)
 
 
-def _metadata(table: pa.Table) -> dict[str, Any]:
+def metadata_of(table: pa.Table) -> dict[str, Any]:
     """Return the metadata of a table as a dictionary."""
     metadata = (table.schema.metadata or {}).get(b"lierb")
     content: dict[str, Any] = json.loads(metadata) if metadata else {}
     return content
+
+
+def chosen_trajectories(given: Any, count: int, most: int) -> list[int]:
+    """Check numbers of trajectories, of `count` in all; None stands for the first `most`."""
+    if given is None:
+        return list(range(min(count, most)))
+    numbers = (given,) if is_whole(given) else items_of("trajectories", given, "whole numbers")
+    for number in numbers:
+        if not (is_whole(number) and 0 <= number < count):
+            raise ArgumentError(f"trajectories has {brief(number)}; expected 0 … {count - 1}")
+    if not numbers:
+        raise ArgumentError("trajectories is empty; expected numbers of trajectories")
+    return [int(number) for number in numbers]
 
 
 def _kinds_of(metadata: dict[str, Any]) -> list[str]:
@@ -154,19 +178,13 @@ def _kinds_of(metadata: dict[str, Any]) -> list[str]:
     return [name for name in LARGEST if name in kinds]
 
 
-def _unit(field: pa.Field) -> str:
-    """Return a field's unit; "" if it has none."""
-    unit: bytes = (field.metadata or {}).get(b"unit", b"")
-    return unit.decode()
-
-
 def _scalars(field: pa.Field, column: pa.ChunkedArray) -> dict[pa.Field, Any]:
     """Return a scalar column, or the component columns of a vector column, by field."""
     if not pa.types.is_fixed_size_list(field.type):
         return {field: column}
     width = field.type.list_size
     names = COMPONENTS.get(field.name.rpartition(".")[2], tuple(str(i + 1) for i in range(width)))
-    units = _unit(field).split(", ")
+    units = unit_of(field).split(", ")
     units = units * width if len(units) == 1 else units
     return {
         pa.field(
@@ -223,11 +241,8 @@ class RunStates(States):
                 return values.reshape(*shape, self.summary.num_rows, *values.shape[1:])
         saved = [] if self.history is None else self.history.column_names
         columns = dict.fromkeys((*saved, *self.summary.column_names))
-        raise unknown_name(
-            "result: column" if not self.links else "result: link or column",
-            name,
-            (*self.links, *columns),
-        )
+        what = "link or column" if self.links else "column"
+        raise unknown_name(f"result: {what}", name, (*self.links, *columns))
 
     @property
     def momentum(self) -> Array:

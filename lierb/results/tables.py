@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from math import prod
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -15,7 +15,7 @@ from lierb.kernels.loops.record import history_measures
 from lierb.kernels.loops.workspace import EVENT_COLUMNS
 from lierb.kernels.stepping.clock import StepClock
 from lierb.kernels.systems.layout import POSE_AND_TWIST
-from lierb.kernels.systems.measures import JOINT_ERRORS, JOINT_KEPT, KEPT, MEASURES
+from lierb.kernels.systems.measures import JOINT_ERRORS, JOINT_KEPT, KEPT, MEASURES, Measure
 from lierb.kernels.systems.observables import KEEPS
 from lierb.kernels.systems.plan import AnyPlan
 from lierb.kernels.systems.signals import outputs_of, signals_width, states_of
@@ -31,57 +31,42 @@ from lierb.support.memory import available, is_free, too_large
 COUNTS = ("steps", "rejected")  # columns of trajectories with their own clocks
 STATUS_DICTIONARY = texts([STATUS_NAMES[code] for code in sorted(STATUS_NAMES)])
 
-UNITS = {
-    "t": "s",
-    "dt_last": "s",
-    **{measure.name: measure.unit for measure in MEASURES},
-    **{field.name: field.unit for field in POSE_AND_TWIST.fields},
-    "reaction": "N m, N m, N m, N, N, N",
-}
+REACTION_UNITS = "N m, N m, N m, N, N, N"
 
-_schemas: dict[tuple[str, ...], pa.Schema] = {}  # by column names and units of λ
+Column = tuple[pa.Array, str]  # with its unit, or units; "" without one
+_schemas: dict[tuple[Any, ...], pa.Schema] = {}  # by names, units and shapes of the columns
 
 
-def _table(
-    columns: dict[str, pa.Array], metadata: str, covers: Covers, units: dict[str, str]
-) -> pa.Table:
-    """Return a table.   units : units of columns that are not in UNITS, by column name."""
-    key = (*columns, *covers, *units.values())
+def _table(columns: dict[str, Column], metadata: str, model: Model) -> pa.Table:
+    covers = _covers_of(model)
+    units = (unit for _, unit in columns.values())
+    key = (*columns, *units, *covers.values(), *model.signals)  # of signals alone shapes differ
     if key not in _schemas:
-        _schemas[key] = _schema(columns, covers, units)
+        _schemas[key] = _schema(columns, covers)
     schema = _schemas[key].with_metadata({"lierb": metadata})
-    return pa.Table.from_arrays(list(columns.values()), schema=schema)
+    return pa.Table.from_arrays([array for array, _ in columns.values()], schema=schema)
 
 
-def _schema(columns: dict[str, pa.Array], covers: Covers, units: dict[str, str]) -> pa.Schema:
+def _schema(columns: dict[str, Column], covers: dict[str, str]) -> pa.Schema:
     fields = []
-    for name, array in columns.items():
-        of_all = name.rpartition(".")[2]  # columns of a mechanism: link or joint, then quantity
-        plain = of_all.removesuffix("_max").removesuffix("_final")
-        unit = units[name] if name in units else UNITS.get(plain)
+    for name, (array, unit) in columns.items():
         described = {"unit": unit} if unit else {}
-        if plain in Covers._fields:
-            described["covers"] = getattr(covers, plain)
+        if covered := covers.get(name.removesuffix("_max").removesuffix("_final")):
+            described["covers"] = covered
         fields.append(pa.field(name, array.type, metadata=described or None))
     return pa.schema(fields)
 
 
-class Covers(NamedTuple):
-    """Descriptions of the columns of energy, energy drift and work."""
-
-    energy: str
-    energy_drift: str
-    work: str
-
-
-def covers_of(model: Model) -> Covers:
+def _covers_of(model: Model) -> dict[str, str]:
+    """Return descriptions of the columns of energy, energy drift and work."""
     stored = [force.name for force in model.forces if force.kind.is_conservative]
     working = [w for force in model.forces if (w := _work_of(force))]
     energy = f"kinetic energy; potential energy of {', '.join(('gravity', *stored))}"
-    if not working:
-        return Covers(energy, energy, "nothing: all that acts has a potential")
-    work = f"work of {', '.join(working)}"
-    return Covers(energy, f"{energy}; less the {work}", work)
+    drift, work = energy, "nothing: all that acts has a potential"
+    if working:
+        work = f"work of {', '.join(working)}"
+        drift = f"{energy}; less the {work}"
+    return {"energy": energy, "energy_drift": drift, "work": work}
 
 
 def _no_work(energy: pa.Array) -> pa.Array:
@@ -145,33 +130,27 @@ def event_row_bytes(model: Model) -> int:
 def summary_table(output: Output, metadata: str, model: Model) -> pa.Table:
     """Return a table with a row for each trajectory."""
     plan = output.plan
-    columns = {
-        "trajectory": numbers(np.arange(len(output.status), dtype=np.int64)),
-        "status": pa.DictionaryArray.from_arrays(numbers(output.status), STATUS_DICTIONARY),
-        "t": numbers(output.t),
+    status = pa.DictionaryArray.from_arrays(numbers(output.status), STATUS_DICTIONARY)
+    columns: dict[str, Column] = {
+        "trajectory": (numbers(np.arange(len(output.status), dtype=np.int64)), ""),
+        "status": (status, ""),
+        "t": (numbers(output.t), "s"),
     }
     if plan.has_lane_clocks:
-        columns |= {name: numbers(output.of_lanes(name).astype(np.int64)) for name in COUNTS}
-        columns["dt_last"] = numbers(output.of_lanes("dt_last"))
+        columns |= {name: (numbers(output.of_lanes(name).astype(np.int64)), "") for name in COUNTS}
+        columns["dt_last"] = numbers(output.of_lanes("dt_last")), "s"
     if plan.method.iterates:
-        columns["iterations"] = numbers(output.turns.astype(np.int64))
-    for (measure, how), column in zip(KEPT, each_row(output.kept), strict=True):
-        columns[f"{measure.name}_{how}"] = column
-    observables = model.observables
-    watched = {f"{each.name}_{how}": each.unit for each in observables for how in KEEPS}
+        columns["iterations"] = numbers(output.turns.astype(np.int64)), ""
+    columns |= _kept("", KEPT, each_row(output.kept))
+    watched = [(f"{each.name}_{how}", each.unit) for each in model.observables for how in KEEPS]
     more = each_row(output.observed)
-    for joint, kept in zip(
-        model.joint_names, _in_parts(more[len(watched) :], len(JOINT_KEPT)), strict=True
-    ):
-        for (measure, how), column in zip(JOINT_KEPT, kept, strict=True):
-            columns[f"{joint}.{measure.name}_{how}"] = column
-    for link, prefix in enumerate(_prefixes(model)):
-        for field, array in zip(POSE_AND_TWIST.fields, output.state_of(link), strict=True):
-            columns[prefix + field.name] = vectors(array)
-    columns |= zip(watched, more[: len(watched)], strict=True)
-    for name, column, unit in _signals_of(model, output.signals):
-        columns[name], watched[name] = column, unit
-    table = _table(columns, metadata, covers_of(model), watched)
+    of_joints = _in_parts(more[len(watched) :], len(JOINT_KEPT))
+    for joint, kept in zip(model.joint_names, of_joints, strict=True):
+        columns |= _kept(f"{joint}.", JOINT_KEPT, kept)
+    columns |= _states(model, map(output.state_of, range(len(model.link_names))))
+    columns |= {name: (column, unit) for (name, unit), column in zip(watched, more, strict=False)}
+    columns |= _signals_of(model, output.signals)
+    table = _table(columns, metadata, model)
     for what in output.raised.values():
         raised = {RAISED_KEY: what.encode(errors="backslashreplace")}
         table = table.replace_schema_metadata(table.schema.metadata | raised)
@@ -179,67 +158,43 @@ def summary_table(output: Output, metadata: str, model: Model) -> pa.Table:
 
 
 def history_table(
-    output: Output,
-    recorded: tuple[str, ...],
-    plan: AnyPlan,
-    metadata: str,
-    model: Model,
+    output: Output, recorded: tuple[str, ...], plan: AnyPlan, metadata: str, model: Model
 ) -> pa.Table:
     """Return a table with a row for each saved time and trajectory, time-major."""
     clock, count = output.clock, len(output.status)
     saved = clock.saved_steps()
-    columns = {
-        "trajectory": numbers(np.tile(np.arange(count, dtype=np.int64), len(saved))),
-        "step": numbers(np.repeat(saved, count)),
-        "t": numbers(np.repeat(clock.saved_times(), count)),
+    columns: dict[str, Column] = {
+        "trajectory": (numbers(np.tile(np.arange(count, dtype=np.int64), len(saved))), ""),
+        "step": (numbers(np.repeat(saved, count)), ""),
+        "t": (numbers(np.repeat(clock.saved_times(), count)), "s"),
     }
     measures, observables = history_measures(plan), model.observables
     rows = each_row(output.history)
-    by_measure = dict(zip(measures, rows[: len(measures)], strict=True))
-    columns |= {measure.name: c for measure, c in by_measure.items() if measure.recorded_by is None}
+    by_measure = list(zip(measures, rows[: len(measures)], strict=True))
+    columns |= {m.name: (column, m.unit) for m, column in by_measure if m.recorded_by is None}
     before = len(output.history) - signals_width(plan)
     errors = rows[len(measures) + len(observables) : before]
     for joint, own in zip(model.joint_names, _in_parts(errors, len(JOINT_ERRORS)), strict=True):
-        for measure, column in zip(JOINT_ERRORS, own, strict=True):
-            columns[f"{joint}.{measure.name}"] = column
+        named = zip(JOINT_ERRORS, own, strict=True)
+        columns |= {f"{joint}.{measure.name}": (column, measure.unit) for measure, column in named}
     if "state" in recorded:
-        for link, prefix in enumerate(_prefixes(model)):
-            for field, array in zip(POSE_AND_TWIST.fields, output.states, strict=True):
-                part = array[output.rows * link : output.rows * link + len(saved)]
-                columns[prefix + field.name] = vectors(part)
-    columns |= {
-        measure.name: c for measure, c in by_measure.items() if measure.recorded_by in recorded
-    }
+        firsts = [output.rows * link for link in range(len(model.link_names))]
+        columns |= _states(model, ([a[i : i + len(saved)] for a in output.states] for i in firsts))
+    columns |= {m.name: (column, m.unit) for m, column in by_measure if m.recorded_by in recorded}
     if "energy" in recorded and not plan.does_work:
-        columns["work"] = _no_work(columns["energy"])
-    units = {}
+        columns["work"] = _no_work(columns["energy"][0]), "J"
     if "multipliers" in recorded and plan.rows:  # Parquet has no lists of length 0
-        for name, part, unit in _multipliers_of(model, output.multipliers):
-            columns[name], units[name] = vectors(part), unit
+        columns |= _multipliers_of(model, output.multipliers)
     if "reaction" in recorded:
         joints = [f"{name}." for name in model.joint_names] or [""]
         for number, prefix in enumerate(joints):
             part = output.reactions[len(saved) * number : len(saved) * (number + 1)]
-            columns[f"{prefix}reaction"] = vectors(part)
-    for each, values in zip(observables, rows[len(measures) :], strict=False):
-        columns[each.name], units[each.name] = values, each.unit
-    for name, column, unit in _signals_of(
-        model, output.history[before:].reshape(-1, len(saved) * count)
-    ):
-        columns[name], units[name] = column, unit
-    return _table(columns, metadata, covers_of(model), units)
-
-
-def _signals_of(model: Model, rows: NDArray) -> Iterator[tuple[str, pa.Array, str]]:
-    """Yield name, column and unit of each extra state and controller output.
-
-    signals : [number][row].
-    """
-    first = 0
-    for name, shape, unit in model.signals:
-        part = rows[first : first + prod(shape)]
-        yield name, vectors(part.T) if shape else numbers(part[0]), unit
-        first += len(part)
+            columns[f"{prefix}reaction"] = vectors(part), REACTION_UNITS
+    columns |= {
+        each.name: (column, each.unit) for each, column in zip(observables, rows[len(measures) :])
+    }
+    columns |= _signals_of(model, output.history[before:].reshape(-1, len(saved) * count))
+    return _table(columns, metadata, model)
 
 
 def events_table(output: Output, metadata: str, model: Model) -> pa.Table:
@@ -248,19 +203,46 @@ def events_table(output: Output, metadata: str, model: Model) -> pa.Table:
     assert rows is not None
     names = texts([event.name for event in model.events])
     which = numbers(rows[:, 1].astype(np.int32))
-    columns = {
-        "trajectory": numbers(rows[:, 0].astype(np.int64)),
-        "event": pa.DictionaryArray.from_arrays(which, names),
-        "t": numbers(rows[:, 2]),
+    columns: dict[str, Column] = {
+        "trajectory": (numbers(rows[:, 0].astype(np.int64)), ""),
+        "event": (pa.DictionaryArray.from_arrays(which, names), ""),
+        "t": (numbers(rows[:, 2]), "s"),
     }
-    first, units = EVENT_COLUMNS, {}
-    for prefix in _prefixes(model):
-        for each in POSE_AND_TWIST.fields:
-            columns[prefix + each.name] = vectors(rows[:, first : first + each.width])
-            first += each.width
-    for name, column, unit in _signals_of(model, rows[:, first:].T):
-        columns[name], units[name] = column, unit
-    return _table(columns, metadata, covers_of(model), units)
+    width, count = POSE_AND_TWIST.count, len(model.link_names)
+    of_links = np.split(rows[:, EVENT_COLUMNS : EVENT_COLUMNS + count * width], count, axis=1)
+    columns |= _states(model, ([own[:, at] for _, at in POSE_AND_TWIST] for own in of_links))
+    columns |= _signals_of(model, rows[:, EVENT_COLUMNS + count * width :].T)
+    return _table(columns, metadata, model)
+
+
+# ---- columns -----------------------------------------------------------------------------------
+
+
+def _kept(
+    prefix: str, kept: Sequence[tuple[Measure, str]], columns: Sequence[pa.Array]
+) -> dict[str, Column]:
+    """Return the columns of measures in a summary."""
+    named = zip(kept, columns, strict=True)
+    return {f"{prefix}{m.name}_{how}": (column, m.unit) for (m, how), column in named}
+
+
+def _states(model: Model, of_links: Iterable[Iterable[NDArray]]) -> dict[str, Column]:
+    """Return the columns of poses and twists.   of_links : arrays of their fields, by link."""
+    return {
+        prefix + field.name: (vectors(array), field.unit)
+        for prefix, arrays in zip(_prefixes(model), of_links, strict=True)
+        for field, array in zip(POSE_AND_TWIST.fields, arrays, strict=True)
+    }
+
+
+def _signals_of(model: Model, rows: NDArray) -> dict[str, Column]:
+    """Return the columns of extra states and controller outputs.   rows : [number][row]."""
+    columns, first = {}, 0
+    for name, shape, unit in model.signals:
+        part = rows[first : first + prod(shape)]
+        columns[name] = vectors(part.T) if shape else numbers(part[0]), unit
+        first += len(part)
+    return columns
 
 
 def _in_parts(columns: list[pa.Array], width: int) -> Iterator[list[pa.Array]]:
@@ -272,15 +254,16 @@ def _prefixes(model: Model) -> list[str]:
     return [f"{name}." if name else "" for name in model.link_names]
 
 
-def _multipliers_of(model: Model, multipliers: NDArray) -> Iterator[tuple[str, NDArray, str]]:
-    """Yield name, λ and units of each joint that has rows."""
-    first = 0
+def _multipliers_of(model: Model, multipliers: NDArray) -> dict[str, Column]:
+    """Return the columns of λ of the joints that have rows."""
+    columns, first = {}, 0
     for name, rows in model.rows_by_name:
         if rows:
             part = np.ascontiguousarray(multipliers[..., first : first + len(rows)])
-            column = f"{name}.lambda" if name else "lambda"
-            yield column, part, ", ".join(row.unit for row in rows)
+            units = ", ".join(row.unit for row in rows)
+            columns[f"{name}.lambda" if name else "lambda"] = vectors(part), units
         first += len(rows)
+    return columns
 
 
 def require_memory(ready: Ready) -> None:

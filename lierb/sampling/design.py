@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lierb.errors import ArgumentError, unknown_name
+from lierb.errors import ArgumentError, require_name
 from lierb.sampling.distribution import Distribution
 from lierb.sampling.distributions import Constant, Values, as_distribution
 from lierb.sampling.sobol import SOBOL_BITS, Sobol
@@ -87,8 +87,7 @@ class Design:
         seed: int = 0,
         method: str = "random",
     ) -> None:
-        if not isinstance(method, str) or method not in METHODS:
-            raise unknown_name("method", method, METHODS)
+        require_name("method", method, METHODS)
         if not isinstance(quantities, Mapping) or not quantities:
             raise ArgumentError(
                 f"quantities must name what is drawn, got a {type(quantities).__name__}; expected "

@@ -32,9 +32,7 @@ class Distribution:
         Number of uniforms that a draw takes.
     """
 
-    @property
-    def shape(self) -> tuple[int, ...]:
-        raise NotImplementedError
+    shape: tuple[int, ...]
 
     @property
     def dimension(self) -> int:

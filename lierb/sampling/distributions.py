@@ -40,18 +40,12 @@ class Constant(Distribution):
     [[0.0, 0.0, -9.81], [0.0, 0.0, -9.81]]
     """
 
+    dimension = 0
     value: Array
 
     def __init__(self, value: ArrayLike) -> None:
-        self._set(value=numbers_of("value", value, axes=2))
-
-    @property
-    def shape(self) -> tuple[int, ...]:
-        return self.value.shape
-
-    @property
-    def dimension(self) -> int:
-        return 0
+        array = numbers_of("value", value, axes=2)
+        self._set(value=array, shape=array.shape)
 
     def _draw(self, u: Array) -> Array:
         return np.repeat(self.value.reshape(-1, 1), u.shape[1], axis=1)
@@ -83,13 +77,9 @@ class Uniform(Distribution):
 
     def __init__(self, low: ArrayLike, high: ArrayLike) -> None:
         lowest, highest = numbers_of("low", low), numbers_of("high", high)
-        common_shape(low=lowest, high=highest)
+        shape = common_shape(low=lowest, high=highest)
         require_ordered(lowest, highest, strict=False)
-        self._set(low=lowest, high=highest)
-
-    @property
-    def shape(self) -> tuple[int, ...]:
-        return common_shape(low=self.low, high=self.high)
+        self._set(low=lowest, high=highest, shape=shape)
 
     def _draw(self, u: Array) -> Array:
         low, high = self._column(self.low), self._column(self.high)
@@ -119,6 +109,7 @@ class Direction(Distribution):
     [[0.0, 2.0, 0.0]]
     """
 
+    shape = (3,)
     length: Distribution
 
     def __init__(self, length: Distribution | ArrayLike = 1.0) -> None:
@@ -128,10 +119,6 @@ class Direction(Distribution):
         if isinstance(along, Constant):
             refuse("length", along.value, along.value < 0.0, "zero or a positive number")
         self._set(length=along)
-
-    @property
-    def shape(self) -> tuple[int, ...]:
-        return (3,)
 
     @property
     def dimension(self) -> int:
@@ -166,16 +153,8 @@ class Rotation(Distribution):
     (1, 3, 3)
     """
 
-    def __init__(self) -> None:
-        pass
-
-    @property
-    def shape(self) -> tuple[int, ...]:
-        return (3, 3)
-
-    @property
-    def dimension(self) -> int:
-        return 3
+    shape = (3, 3)
+    dimension = 3
 
     def _draw(self, u: Array) -> Array:
         first, second = 2.0 * np.pi * u[1], 2.0 * np.pi * u[2]
@@ -210,24 +189,17 @@ class Values(Distribution):
     [1.0, 2.0, 5.0]
     """
 
+    dimension = 1
     values: Array
 
     def __init__(self, values: ArrayLike) -> None:
         listed = numbers_of("values", values, axes=3)
         if listed.ndim == 0:
             raise ArgumentError(f"values is {listed}; expected a list of numbers, or of arrays")
-        self._set(values=listed)
+        self._set(values=listed, shape=listed.shape[1:])
 
     def __len__(self) -> int:
         return len(self.values)
-
-    @property
-    def shape(self) -> tuple[int, ...]:
-        return self.values.shape[1:]
-
-    @property
-    def dimension(self) -> int:
-        return 1
 
     def _draw(self, u: Array) -> Array:
         # The largest double below 1, times k, rounds to one below k.

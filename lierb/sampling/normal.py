@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -64,27 +63,21 @@ class Normal(Distribution):
         if covariance is None:
             spread = numbers_of("std", std)
             refuse("std", spread, spread < 0.0, "zero or a positive number")
-            common_shape(mean=centre, std=spread)
-            self._set(std=spread)
+            self._set(std=spread, shape=common_shape(mean=centre, std=spread))
         else:
             matrix = _covariance(covariance)
-            common_shape(mean=centre, covariance=matrix[0])
-            self._set(covariance=matrix)
-
-    @property
-    def shape(self) -> tuple[int, ...]:
-        spread = self.std if self.covariance is None else self.covariance[0]
-        assert spread is not None
-        return common_shape(mean=self.mean, spread=spread)
+            shape = common_shape(mean=centre, covariance=matrix[0])
+            self._set(covariance=matrix, shape=shape)
 
     def _draw(self, u: Array) -> Array:
         z: Array = scipy_special().ndtri(u)
         mean = self._column(self.mean)
         if self.std is not None:
             return mean + self._column(self.std) * z
+        assert self.covariance is not None
         # Sums in a fixed order: the one in which a matrix product adds depends on n.
         x = np.repeat(mean, u.shape[1], axis=1)
-        for i, row in enumerate(self._factor):
+        for i, row in enumerate(_cholesky(self.covariance)):
             for j in np.flatnonzero(row):
                 x[i] += row[j] * z[j]
         return x
@@ -94,11 +87,6 @@ class Normal(Distribution):
         std = np.zeros(()) if self.std is None else self.std
         mean, covariance = self._independent(self.mean, std**2)
         return mean, covariance if self.covariance is None else self.covariance
-
-    @cached_property
-    def _factor(self) -> Array:
-        assert self.covariance is not None
-        return _cholesky(self.covariance)
 
 
 def _covariance(value: ArrayLike) -> Array:
@@ -163,25 +151,16 @@ class TruncatedNormal(Distribution):
     high: Array
 
     def __init__(
-        self,
-        mean: ArrayLike,
-        std: ArrayLike,
-        low: ArrayLike = -np.inf,
-        high: ArrayLike = np.inf,
+        self, mean: ArrayLike, std: ArrayLike, low: ArrayLike = -np.inf, high: ArrayLike = np.inf
     ) -> None:
         centre, spread = numbers_of("mean", mean), numbers_of("std", std)
-        lowest, highest = (
-            numbers_of("low", low, infinite=True),
-            numbers_of("high", high, infinite=True),
-        )
+        lowest = numbers_of("low", low, infinite=True)
+        highest = numbers_of("high", high, infinite=True)
         refuse("std", spread, spread <= 0.0, "a positive number")
-        common_shape(mean=centre, std=spread, low=lowest, high=highest)
+        parameters = {"mean": centre, "std": spread, "low": lowest, "high": highest}
+        shape = common_shape(**parameters)
         require_ordered(lowest, highest, strict=True)
-        self._set(mean=centre, std=spread, low=lowest, high=highest)
-
-    @property
-    def shape(self) -> tuple[int, ...]:
-        return common_shape(mean=self.mean, std=self.std, low=self.low, high=self.high)
+        self._set(**parameters, shape=shape)
 
     def _draw(self, u: Array) -> Array:
         mean, std, low, high = (
@@ -229,15 +208,11 @@ class LogNormal(Distribution):
         middle, spread = numbers_of("median", median), numbers_of("sigma", sigma)
         refuse("median", middle, middle <= 0.0, "a positive number")
         refuse("sigma", spread, spread < 0.0, "zero or a positive number")
-        common_shape(median=middle, sigma=spread)
+        shape = common_shape(median=middle, sigma=spread)
         reach = np.log(middle) + FARTHEST_Z * spread
         most = "less: its draws overflow, or a smaller median"
         refuse("sigma", np.broadcast_to(spread, reach.shape), reach > np.log(LARGEST), most)
-        self._set(median=middle, sigma=spread)
-
-    @property
-    def shape(self) -> tuple[int, ...]:
-        return common_shape(median=self.median, sigma=self.sigma)
+        self._set(median=middle, sigma=spread, shape=shape)
 
     def _draw(self, u: Array) -> Array:
         z: Array = scipy_special().ndtri(u)

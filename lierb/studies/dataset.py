@@ -32,7 +32,6 @@ from lierb.results.result import Result
 from lierb.studies.description.sections.running import IntegrateSection
 from lierb.studies.description.settings import Setting, settings_label
 from lierb.studies.description.study_tables import tables_of_study
-from lierb.studies.findings.findings import study_of
 from lierb.studies.storage.parts import Part
 from lierb.studies.storage.replaying import only_setting, require_trajectory, with_history
 from lierb.studies.storage.results import Results
@@ -189,14 +188,13 @@ class Dataset(Results):
         >>> replay.result.omega.shape, replay.twist0.shape
         ((11, 1, 3), (6,))
         """
-        self._read_once()
-        study = study_of(self)
+        study = self.study
         number = require_trajectory(study, trajectory)
         given = {"cspace": cspace, "method": method, "dt": dt, "rtol": rtol}
         setting = only_setting(study, given)
         recorded = with_history(study, save_every)
         batch, result = Part("", setting, number, 1).run(recorded, study.design, threads)
-        return Replay(*batch.alone(0), result, setting)
+        return Replay(*batch.first, result, setting)
 
     def _representation(self) -> tuple[str, Lines]:
         if not self.manifest:

@@ -131,16 +131,12 @@ def _refuse_one(argument: str, value: Any) -> None:
     is_bytes = isinstance(value, memoryview) and value.itemsize == 1
     if is_other or is_bytes or isinstance(value, NO_NUMBERS):
         raise _no_numbers(argument, value)
-    if type(value) is not np.ndarray and _has_units(value):
+    units = (getattr(value, name, None) for name in ("units", "unit"))  # of pint, unyt, Astropy
+    if type(value) is not np.ndarray and any(unit is not None for unit in units):
         raise ArgumentError(
             f"{argument} has units: {brief(value)}; give its plain numbers in SI units, such as "
             '`.to("m").magnitude` or `.to_value("m")`'
         )
-
-
-def _has_units(value: Any) -> bool:
-    """Return whether a value is a quantity with units, of pint, unyt or Astropy."""
-    return any(getattr(value, name, None) is not None for name in ("units", "unit"))
 
 
 def _no_numbers(argument: str, value: Any) -> ArgumentError:

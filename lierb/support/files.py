@@ -84,29 +84,28 @@ def write_aside(path: Path, content: Any) -> Path:
     aside = path.with_name(f".{path.name}.{uuid4().hex[:8]}{TEMPORARY}")
     with naming(path.parent, "made", KEPT):
         path.parent.mkdir(parents=True, exist_ok=True)
-    with naming(path, "written", KEPT):
-        try:
-            with aside.open("wb") as file:
-                file.write(content)
-                file.flush()
-                os.fsync(file.fileno())
-        except BaseException:
-            with suppress(OSError):
-                aside.unlink(missing_ok=True)
-            raise
+    with naming(path, "written", KEPT), _deleted_on_error(aside), aside.open("wb") as file:
+        file.write(content)
+        file.flush()
+        os.fsync(file.fileno())
     return aside
 
 
 def rename(aside: Path, path: Path) -> None:
     """Rename a temporary file durably; delete it if that fails."""
-    with naming(path, "written", KEPT):
-        try:
-            aside.replace(path)
-            _sync(path.parent)
-        except BaseException:
-            with suppress(OSError):
-                aside.unlink(missing_ok=True)
-            raise
+    with naming(path, "written", KEPT), _deleted_on_error(aside):
+        aside.replace(path)
+        _sync(path.parent)
+
+
+@contextmanager
+def _deleted_on_error(file: Path) -> Iterator[None]:
+    try:
+        yield
+    except BaseException:
+        with suppress(OSError):
+            file.unlink(missing_ok=True)
+        raise
 
 
 def _sync(folder: Path) -> None:

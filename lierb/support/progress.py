@@ -6,7 +6,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Any, Protocol
+from typing import Any
 
 from lierb.errors import ArgumentError, brief
 from lierb.support.extras import remedy
@@ -16,13 +16,6 @@ Progress = bool | Callable[[int, int], None] | None
 BODY_STEPS = "body-steps"
 QUIET_SECONDS = 2.0  # delay of a bar that was not requested
 NOTEBOOK_SECONDS = 0.2  # between two updates
-
-
-class Bar(Protocol):
-    """Progress bar, drawn by the first `show` and removed by `close`."""
-
-    def show(self, done: int) -> None: ...
-    def close(self) -> None: ...
 
 
 def check_progress(progress: Any) -> None:
@@ -60,8 +53,11 @@ def reporter(
         bar.close()
 
 
-def _bar(total: int, of: str, required: bool) -> Bar | None:
-    """Return a bar for a notebook or a terminal, None elsewhere."""
+def _bar(total: int, of: str, required: bool) -> NotebookBar | TerminalBar | None:
+    """Return a bar for a notebook or a terminal, None elsewhere.
+
+    Its first `show` draws it, and `close` removes it.
+    """
     if _in_notebook():
         return NotebookBar(total, of)
     if not (required or _on_terminal()):
@@ -88,18 +84,12 @@ class TerminalBar:
     """This bar is shown on standard error, by rich. Raises ImportError without rich."""
 
     def __init__(self, total: int, of: str = BODY_STEPS) -> None:
+        from rich import progress
         from rich.console import Console
-        from rich.progress import (
-            BarColumn,
-            Progress,
-            TaskProgressColumn,
-            TextColumn,
-            TimeRemainingColumn,
-        )
 
-        self._bar = Progress(
-            TextColumn(of), BarColumn(), TaskProgressColumn(),
-            TextColumn("{task.fields[rate]}"), TimeRemainingColumn(),
+        self._bar = progress.Progress(
+            progress.TextColumn(of), progress.BarColumn(), progress.TaskProgressColumn(),
+            progress.TextColumn("{task.fields[rate]}"), progress.TimeRemainingColumn(),
             console=Console(stderr=True), transient=True,
         )  # fmt: skip
         self._task = self._bar.add_task("", total=total, rate="")

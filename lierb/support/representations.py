@@ -61,6 +61,11 @@ def counted(count: int, what: str, several: str = "") -> str:
     return f"{count} {what if count == 1 else several or f'{what}s'}"
 
 
+def with_unit(name: str, unit: str) -> str:
+    """Format the label of an axis: `position [m]`, without a unit of 1."""
+    return name if unit in ("", "1") else f"{name} [{unit}]"
+
+
 def steps_text(options: Mapping[str, Any]) -> str:
     """Format the tolerance or the step size of a run, from the options in its metadata."""
     return f"rtol = {options['rtol']:g}" if options.get("rtol") else f"dt = {options['dt']:g} s"

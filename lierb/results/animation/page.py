@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lierb.errors import ArgumentError, brief, items_of, unknown_name
+from lierb.errors import ArgumentError, brief, items_of, require_name
 from lierb.model.base import Model
 from lierb.model.mechanism.mechanism import Mechanism
 from lierb.model.problem import Problem
@@ -26,11 +26,10 @@ from lierb.results.animation.scene import (
     Trails,
     cspace_of,
     scene_of,
-    settings_of,
 )
 from lierb.results.animation.shapes import Shape
 from lierb.results.colours import CSPACE_NAMES
-from lierb.results.states import RunStates
+from lierb.results.states import RunStates, chosen_trajectories, metadata_of
 from lierb.support.arrays import Array, as_matrix, as_numbers, as_poses, is_whole
 from lierb.support.files import require_page, write_whole
 from lierb.support.representations import counted, steps_text
@@ -193,7 +192,8 @@ def animate(
         raise ArgumentError(f"frames={brief(frames)}; expected a whole number, at least 2")
     named = _named(results)
     models = {name: _model_of(name, result, problem) for name, result in named.items()}
-    chosen = _chosen(named, trajectories)
+    count = min(result.summary.num_rows for result in named.values())
+    chosen = chosen_trajectories(trajectories, count, max(MOST_VIEWS // len(named), 1))
     first = next(iter(models.values()))
     scene = scene_of(
         list(_views(named, models, chosen)),
@@ -201,7 +201,6 @@ def animate(
         shape=_shapes(shape, first), trail=_trails(trail, first),
         frames=int(frames), magnified=_factor(magnify), targets=_targets(targets),
     )  # fmt: skip
-    count = min(result.summary.num_rows for result in named.values())
     if trajectories is None and len(chosen) < count:
         scene["notes"].append(f"The first {len(chosen)} of {count} trajectories.")
     made = Animation(scene)
@@ -256,19 +255,6 @@ def _model_of(name: str, result: Any, given: Model | None) -> Model:
     return known
 
 
-def _chosen(named: dict[str, RunStates], given: Any) -> list[int]:
-    count = min(result.summary.num_rows for result in named.values())
-    if given is None:
-        return list(range(min(count, max(MOST_VIEWS // len(named), 1))))
-    numbers = (given,) if is_whole(given) else items_of("trajectories", given, "whole numbers")
-    for number in numbers:
-        if not (is_whole(number) and 0 <= number < count):
-            raise ArgumentError(f"trajectories has {brief(number)}; expected 0 … {count - 1}")
-    if not numbers:
-        raise ArgumentError("trajectories is empty; expected numbers of trajectories")
-    return [int(number) for number in numbers]
-
-
 def _views(
     named: dict[str, RunStates], models: dict[str, Model], chosen: list[int]
 ) -> Iterator[tuple[str, RunStates, Model, int]]:
@@ -287,7 +273,7 @@ def _views(
 
 
 def _title(result: RunStates) -> str:
-    known = settings_of(result)
+    known = metadata_of(result.summary)
     joint, options = known.get("problem", {}).get("joint", ""), known.get("options", {})
     parts = [f"{joint} joint"] if joint else [described_links(known) or "lierb"]
     if options:
@@ -306,19 +292,16 @@ def _shapes(given: Any, model: Model) -> Shapes:
     names = model.joint_names and model.link_names
     if given is None or (isinstance(given, Shape) and not names):
         return given
-    if isinstance(given, Mapping) and names:
-        for name, each in given.items():
-            if name not in names:
-                raise unknown_name("shape", name, names)
-            if not isinstance(each, Shape):
-                raise ArgumentError(
-                    f"shape[{name!r}]={brief(each)}; expected a lierb.animation.Shape"
-                )
-        return given
-    expected = "a lierb.animation.Shape"
-    if names:
-        expected = f"a dictionary of shapes by link, as {{{names[0]!r}: …}}"
-    raise ArgumentError(f"shape={brief(given)}; expected {expected}")
+    if not (isinstance(given, Mapping) and names):
+        expected = "a lierb.animation.Shape"
+        if names:
+            expected = f"a dictionary of shapes by link, as {{{names[0]!r}: …}}"
+        raise ArgumentError(f"shape={brief(given)}; expected {expected}")
+    for name, each in given.items():
+        require_name("shape", name, names)
+        if not isinstance(each, Shape):
+            raise ArgumentError(f"shape[{name!r}]={brief(each)}; expected a lierb.animation.Shape")
+    return given
 
 
 def _trails(given: Any, model: Model) -> Trails:
@@ -333,8 +316,7 @@ def _trails(given: Any, model: Model) -> Trails:
             f"{{{names[0]!r}: (0.0, 0.0, 0.1)}}"
         )
     for name in given:
-        if name not in names:
-            raise unknown_name("trail", name, names)
+        require_name("trail", name, names)
     return {name: _point(f"trail[{name!r}]", point) for name, point in given.items()}
 
 

@@ -14,7 +14,7 @@
     joint   name; parent and child: indices of bodies, null for the ground, parents first; closes:
             true for a loop's joint, listed after the links' joints; parent_frame and child_frame:
             4×4, row by row; parent_axes, child_axes, slides, child_slides: axes of these frames to
-            draw; is_rod; gap (times, 6): see `lierb.results.animation.gaps`
+            draw; is_rod; gap (times, 6): see `lierb.results.animation.drawn_joints`
     values  values of each of the curves over time: errors, and observables
 
 Views are shown side by side on a common clock. Bodies and joints are those of a mechanism; a single
@@ -24,27 +24,22 @@ NaN after a failure.
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-import pyarrow as pa
 
-from lierb.errors import ArgumentError
-from lierb.kernels.groups import so3
-from lierb.kernels.numbers.vec import norm, scale
 from lierb.model.base import Model
 from lierb.model.bodies.body import Body
 from lierb.model.joints.joint import Joint
 from lierb.results.animation.drawn_joints import drawn_joints
-from lierb.results.animation.encoding import RUNAWAY, encoded, text_of
+from lierb.results.animation.encoding import RUNAWAY, encoded
 from lierb.results.animation.shapes import Shape, equivalent
 from lierb.results.colours import COLOURS, CSPACE_COLOURS, colours_of
-from lierb.results.columns import as_array
-from lierb.results.states import RunStates
-from lierb.support.arrays import Array, assembled, components, pose_matrix
+from lierb.results.states import RunStates, States, metadata_of, poses_of, quaternions_of
+from lierb.support.arrays import Array
+from lierb.support.representations import with_unit
 
 Shapes = Shape | Mapping[str, Shape] | None
 Trails = Array | bool | Mapping[str, Array]
@@ -82,10 +77,7 @@ def scene_of(
     targets : points (k, 3), m, or poses (4, 4) by name, fixed to the ground.
     """
     aims = [_target(name, target) for name, target in (targets or {}).items()]
-    looks = [
-        _view(name, result, model, number, shape, trail, frames)
-        for name, result, model, number in named
-    ]
+    looks = [_view(*each, shape, trail, frames) for each in named]
     views, swept, sizes, gaps, curves, turns = zip(*looks, strict=True)
     observed = [_observed(model) for _, _, model, _ in named]
     for view, (colour, dash) in zip(views, _colours([r for _, r, _, _ in named])):
@@ -129,15 +121,9 @@ def _target(name: str, target: Array) -> dict[str, Any]:
     return {"name": name, "points": points, "axes": axes}
 
 
-def settings_of(result: RunStates) -> dict[str, Any]:
-    """Return the metadata of a result: its problem and options."""
-    header: dict[str, Any] = json.loads((result.summary.schema.metadata or {}).get(b"lierb", b"{}"))
-    return header
-
-
 def cspace_of(result: RunStates) -> str | None:
     """Return the c-space of a result; None if its metadata lack it."""
-    cspace: str | None = settings_of(result).get("options", {}).get("cspace")
+    cspace: str | None = metadata_of(result.summary).get("options", {}).get("cspace")
     return cspace
 
 
@@ -158,31 +144,24 @@ def _rounded(points: Array, size: float) -> Array:
     return np.asarray(np.round(points, 9 - math.ceil(math.log10(size))))
 
 
-def poses_of(history: pa.Table, count: int, number: int, rows: Array, prefix: str = "") -> Array:
-    """Return poses of a trajectory at some of the saved times, (rows, 4, 4).
-
-    count : number of trajectories in the history.   prefix : prefix of the column names.
-    """
-    rotation = as_array(history[f"{prefix}rotation"]).reshape(-1, count, 9)[rows, number]
-    position = as_array(history[f"{prefix}position"]).reshape(-1, count, 3)[rows, number]
-    return pose_matrix((components(rotation), components(position)))
-
-
 # ---- a view ------------------------------------------------------------------------------------
 
 
 class Linked(NamedTuple):
-    """A drawn body has a prefix of its columns, and joint points, that of its own joint first."""
+    """A drawn body has its states, and joint points, that of its own joint first.
+
+    name : of the link; "" for a single body.
+    """
 
     name: str
-    prefix: str
+    states: States
     body: Body
     points: list[Array]
     has_children: bool
     is_pinned: bool
 
 
-def _linked(model: Model) -> list[Linked]:
+def _linked(model: Model, result: RunStates) -> list[Linked]:
     links, linked = model.joints[: len(model.bodies)], []
     for i, (name, body) in enumerate(zip(model.link_names, model.bodies, strict=True)):
         own = links[i].joint
@@ -194,8 +173,8 @@ def _linked(model: Model) -> list[Linked]:
             if n != i and i in (at.parent, at.body) and at.joint is not None and at.rows
         ]
         is_parent = i in (at.parent for at in links)
-        prefix = f"{name}." if name else ""
-        linked.append(Linked(name or "body", prefix, body, points, is_parent, bool(own.rows)))
+        states = result[name] if name else result
+        linked.append(Linked(name, states, body, points, is_parent, bool(own.rows)))
     return linked
 
 
@@ -209,23 +188,17 @@ def _view(
     frames: int,
 ) -> tuple[dict[str, Any], Array, float, float, list[str], float]:
     """Return a view, its swept points, the bodies' size, largest gap, curves and largest turn."""
-    history = result.history
-    if history is None or not result.has_states:
-        raise ArgumentError(f"{name or 'the result'}: {RECORD}")
-    count = result.summary.num_rows
-    t = as_array(history["t"]).reshape(-1, count)[:, number]
+    t = result["t"][:, number]
     rows = np.unique(np.rint(np.linspace(0, len(t) - 1, min(frames, len(t)))).astype(int))
-    links = _linked(model)
-    poses = [poses_of(history, count, number, rows, each.prefix) for each in links]
+    links = _linked(model, result)
+    poses = [poses_of(each.states, (rows, number)) for each in links]
     shapes = [_of_link(shape, each.name) or equivalent(each.body) for each in links]
     joints = drawn_joints(model, poses)
-    errors = _errors(history, [each.joint for each in joints], count, number, rows)
-    observed = {
-        name: as_array(history[name]).reshape(-1, count)[rows, number] for name in _observed(model)
-    }
+    errors = _errors(result, [each.joint for each in joints], number, rows)
+    observed = {name: result[name][rows, number] for name in _observed(model)}
     view = {
         "title": name,
-        "t": text_of(np.ascontiguousarray(t[rows], "<f8")),  # resolves 1e-3 s after days
+        "t": encoded(t[rows], "<f8"),  # resolves 1e-3 s after days
         "bodies": [
             _body(each, own, placed, trail) for each, own, placed in zip(links, shapes, poses)
         ],
@@ -233,7 +206,7 @@ def _view(
         "values": {name: encoded(x) for name, x in {**errors, **observed}.items()},
     }
     size = max(each.size for each in shapes)
-    turn = max(_turn(history, count, number, rows, t[rows], each.prefix) for each in links)
+    turn = max(_turn(each.states.omega[rows, number], t[rows]) for each in links)
     grounds = [each.joint.ground_frame[:3, 3] for each in joints if each.parent is None]
     swept = np.vstack([_swept(*each) for each in zip(poses, shapes)] + grounds)
     gap = max((each.gap_size(size) for each in joints), default=0.0)
@@ -246,27 +219,23 @@ def _of_link(given: Shapes, name: str) -> Shape | None:
 
 def _body(link: Linked, shape: Shape, poses: Array, trail: Trails) -> dict[str, Any]:
     point = _trail(link, shape, trail)
+    with np.errstate(invalid="ignore"):  # NaN after a failure
+        turns = quaternions_of(poses[:, :3, :3])
     made = {
-        "name": link.name,
+        "name": link.name or "body",
         "shape": {
             "vertices": _rounded(shape.vertices, shape.size).tolist(),
             "faces": shape.faces, "marked": shape.marked,
         },
-        "poses": encoded(np.hstack([_quaternions(poses), poses[:, :3, 3]])),
+        "poses": encoded(np.hstack([turns, poses[:, :3, 3]])),
         "com": link.body.com.tolist(),
         "trail": None if point is None else point.tolist(),
     }  # fmt: skip
-    if link.prefix:
+    if link.name:
         first, *others = link.points or [link.body.com]
         ends = others or [link.body.com]
         made["bones"] = [[first.tolist(), end.tolist()] for end in ends]
     return made
-
-
-def _quaternions(poses: Array) -> Array:
-    with np.errstate(invalid="ignore"):  # NaN after a failure
-        p = so3.quaternion(components(poses[:, :3, :3], 2))
-        return assembled(scale(1.0 / norm(p), p))
 
 
 def _trail(link: Linked, shape: Shape, trail: Trails) -> Array | None:
@@ -295,9 +264,7 @@ def _up(model: Model) -> Array:
     return np.asarray(up) + 0.0  # no −0
 
 
-def _errors(
-    history: pa.Table, joints: list[Joint], count: int, number: int, rows: Array
-) -> dict[str, Array]:
+def _errors(result: RunStates, joints: list[Joint], number: int, rows: Array) -> dict[str, Array]:
     """Return the errors for which joints have rows; without any, the energy drift.
 
     Each value is the maximum since the previous frame.
@@ -305,20 +272,12 @@ def _errors(
     names = {kind for joint in joints for kind in joint.error_kinds}
     kinds = [f"{kind}_error" for kind in sorted(names)] or ["energy_drift"]
     starts = np.append(0, rows[:-1] + 1)
-    return {
-        name: np.maximum.reduceat(
-            np.abs(as_array(history[name]).reshape(-1, count)[:, number]), starts
-        )
-        for name in kinds
-    }
+    return {name: np.maximum.reduceat(np.abs(result[name][:, number]), starts) for name in kinds}
 
 
 def _observed(model: Model) -> dict[str, str]:
     """Return the names and labels of the observables that have curves."""
-    return {
-        each.name: each.name if each.unit in ("", "1") else f"{each.name} [{each.unit}]"
-        for each in model.observables[:MOST_OBSERVED]
-    }
+    return {x.name: with_unit(x.name, x.unit) for x in model.observables[:MOST_OBSERVED]}
 
 
 # ---- sizes -------------------------------------------------------------------------------------
@@ -335,9 +294,8 @@ def _swept(poses: Array, shape: Shape) -> Array:
     )  # failed from the start: no position
 
 
-def _turn(history: pa.Table, count: int, number: int, rows: Array, t: Array, prefix: str) -> float:
+def _turn(omega: Array, t: Array) -> float:
     """Return the largest turn between frames, rad, from rates: poses omit whole turns."""
-    omega = as_array(history[f"{prefix}omega"]).reshape(-1, count, 3)[rows, number]
     with np.errstate(all="ignore"):
         turns = np.linalg.norm(omega[:-1], axis=1) * np.diff(t)
     return float(np.nanmax(turns, initial=0.0))

@@ -42,19 +42,15 @@ class Batch:
     draws: dict[str, Array]
 
     @property
-    def first(self) -> tuple[Any, Any]:
-        """Return problem and pose of the first body alone."""
-        return self.alone(0)[:2]
-
-    def alone(self, body: int) -> tuple[Problem | Mechanism, Any, Any]:
-        """Return problem, pose and twist of one body.   body : its number in the batch."""
-        return self.problem.of_body(body), _of_body(self.pose0, body), _of_body(self.twist0, body)
+    def first(self) -> tuple[Problem | Mechanism, Any, Any]:
+        """Return problem, pose and twist of the first body alone."""
+        return self.problem.of_body(0), _first_of(self.pose0), _first_of(self.twist0)
 
 
-def _of_body(arrays: Any, body: int) -> Any:
+def _first_of(arrays: Any) -> Any:
     if isinstance(arrays, dict):
-        return {name: array[body] for name, array in arrays.items()}
-    return None if arrays is None else arrays[body]
+        return {name: array[0] for name, array in arrays.items()}
+    return None if arrays is None else arrays[0]
 
 
 def batch_of(study: StudyTables, first: int, count: int, design: Design | None = None) -> Batch:

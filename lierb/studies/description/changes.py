@@ -76,20 +76,17 @@ def applied(tables: dict[str, Any], changes: Mapping[str, Any]) -> dict[str, Any
         *way, last = path_of(key)
         place: Any = changed
         for n, part in enumerate(way):
-            place = _entered(place, part, ".".join(way[:n]))
+            if isinstance(place, dict):
+                place.setdefault(part, {})
+            place = place[_index(place, part, ".".join(way[:n]))]
             if not isinstance(place, (dict, list)):
                 raise StudyError(f"{key}: {'.'.join(way[: n + 1])} is {place!r}, no table")
-        if isinstance(place, list):
-            place[index_of(place, last, ".".join(way))] = deepcopy(value)
-        else:
-            place[last] = deepcopy(value)
+        place[_index(place, last, ".".join(way))] = deepcopy(value)
     return changed
 
 
-def _entered(place: dict[str, Any] | list[Any], part: str, of: str) -> Any:
-    if isinstance(place, list):
-        return place[index_of(place, part, of)]
-    return place.setdefault(part, {})
+def _index(place: dict[str, Any] | list[Any], part: str, of: str) -> Any:
+    return index_of(place, part, of) if isinstance(place, list) else part
 
 
 def index_of(items: Sequence[Any], part: str, of: str) -> int:

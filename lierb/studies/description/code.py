@@ -16,6 +16,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
 from pathlib import Path
+from traceback import walk_tb
 from types import ModuleType
 from typing import Any, NamedTuple
 
@@ -185,11 +186,10 @@ def _running(file: str) -> Iterator[None]:
 
 def _line_of(error: BaseException, place: str) -> str:
     """Innermost line of a file that an exception has passed; "" if there is none."""
-    line, trace = "", error.__traceback__
-    while trace is not None:
-        if trace.tb_frame.f_code.co_filename.startswith(place):
-            line = at(trace.tb_frame.f_code, trace.tb_lineno)
-        trace = trace.tb_next
+    line = ""
+    for frame, number in walk_tb(error.__traceback__):
+        if frame.f_code.co_filename.startswith(place):
+            line = at(frame.f_code, number)
     return line
 
 

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from lierb.errors import ArgumentError, StudyError, brief, unknown_name
+from lierb.errors import ArgumentError, StudyError, brief, require_name
 from lierb.kernels.functions.function import Function
 from lierb.kernels.mechanics.elements import INITIAL, TurnCounter
 from lierb.kernels.mechanics.rows import parameters_of
@@ -101,8 +101,7 @@ def study_of(
         raise ArgumentError(f"initial={brief(initial)}; expected a dictionary")
     problem.require_unchanged()
     for key in settings:
-        if key not in (*INTEGRATE, *OUTPUT):
-            raise unknown_name("setting", key, (*INTEGRATE, *OUTPUT, "name", "initial"))
+        require_name("setting", key, (*INTEGRATE, *OUTPUT, "name", "initial"))
     if isinstance(settings.get("stabilise"), Stabilisation):
         settings["stabilise"] = _stabilise(settings["stabilise"])
     code: dict[str, str] = {}
@@ -118,8 +117,7 @@ def study_of(
         tables["problem"] |= _links_and_loops(problem, design, of_links)
     else:
         for key in initial or {}:
-            if key not in KEYS["initial"]:
-                raise unknown_name("initial", key, KEYS["initial"])
+            require_name("initial", key, KEYS["initial"])
         tables["initial"] = dict(initial or {})
         tables["body"] = _body("", problem.body, design)
         tables["joint"] = _joint("", problem.joint, design)
@@ -145,16 +143,14 @@ def _starts(
         if key == "close" and not isinstance(value, Mapping):
             rest[key] = value
             continue
-        if key not in mechanism.names:
-            raise unknown_name("initial", key, (*mechanism.names, "close"))
+        require_name("initial", key, (*mechanism.names, "close"))
         if not isinstance(value, Mapping):
             raise ArgumentError(
                 f"initial[{key!r}]={brief(value)}; expected a dictionary, such as "
                 "{'coordinates': 0.3, 'velocities': 1.0}"
             )
         for inner in value:
-            if inner not in KEYS_OF_LINK["initial"]:
-                raise unknown_name(f"initial[{key!r}]", inner, KEYS_OF_LINK["initial"])
+            require_name(f"initial[{key!r}]", inner, KEYS_OF_LINK["initial"])
         of_links[key] = dict(value)
     return of_links, rest
 

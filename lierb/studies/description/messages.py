@@ -8,7 +8,6 @@ from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from difflib import get_close_matches
-from itertools import islice
 from typing import Any, get_args
 
 from pydantic import BaseModel, ValidationError
@@ -86,11 +85,11 @@ def messages(
     errors: ValidationError, model: type[BaseModel], tables: dict[str, Any], given: Given
 ) -> str:
     """Format the first of pydantic's errors, one per line.   model : model of the whole file."""
-    each = iter(errors.errors(include_url=False, include_context=False))
-    lines = dict.fromkeys(_message(e, model, tables, given) for e in islice(each, MOST_LISTED))
-    if rest := sum(1 for _ in each):
-        return "\n".join((*lines, f"{given.source}: and {rest} more"))
-    return "\n".join(lines)
+    every = errors.errors(include_url=False, include_context=False)
+    lines = [_message(error, model, tables, given) for error in every[:MOST_LISTED]]
+    if rest := every[MOST_LISTED:]:
+        lines.append(f"{given.source}: and {len(rest)} more")
+    return "\n".join(dict.fromkeys(lines))
 
 
 def _message(error: Any, model: type[BaseModel], tables: dict[str, Any], given: Given) -> str:

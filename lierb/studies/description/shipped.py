@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from lierb.errors import unknown_name
+from lierb.errors import require_name
 
 PACKAGE = Path(__file__).parents[2]
 SCHEMA = "#:schema "  # for editors; the path is valid only in the checkout
@@ -31,8 +31,7 @@ def example(name: str) -> str:
     files = sorted(path.name for path in _folder().glob("*.py"))
     if name in files:
         return (_folder() / name).read_text(encoding="utf-8")
-    if name not in known:
-        raise unknown_name("example", name, (*known, *files))
+    require_name("example", name, (*known, *files))
     text = (_folder() / f"{name}.toml").read_text(encoding="utf-8")
     lines = text.splitlines(keepends=True)
     return "".join(line for line in lines if not line.startswith(SCHEMA))

@@ -116,14 +116,12 @@ def line_of(text: str, path: tuple[Any, ...]) -> int | None:
     """
     lines, names = _lines_in(text)
     wanted = _numbered(path, names)
-    best: tuple[int, int] | None = None  # number of matching parts, line
-    for number, path_there in lines:
-        is_near = len(path_there) <= len(wanted) and all(
-            w in (f, ANY) for f, w in zip(path_there, wanted)
-        )
-        if path_there and is_near and (best is None or len(path_there) > best[0]):
-            best = len(path_there), number
-    return best[1] if best else None
+    around = [
+        (len(there), -number)
+        for number, there in lines
+        if 0 < len(there) <= len(wanted) and all(w in (f, ANY) for f, w in zip(there, wanted))
+    ]
+    return -max(around)[1] if around else None
 
 
 ANY = None  # in a path: any table of a list

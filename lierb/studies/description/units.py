@@ -32,16 +32,14 @@ def unit_of(quantity: str, study: Study, problem: Problem | Mechanism) -> str:
     table, _, label = section.partition(".")
     if table == "controllers" and key == "every":
         return "s"
-    if table == "states":
-        labels = [each.label for each in study.problem.states]
-        states = problem.states[labels.index(label)]
-        if isinstance(states.kind, TurnCounter):
-            return states.units[states.name] if key == "start" else ""
-        return states.units.get(key, "1") if key in dict(states.columns) else ""
     if table in ELEMENTS:
         labels = [each.label for each in getattr(study.problem, table)]
-        kind = getattr(problem, table)[labels.index(label)].kind
-        return kind.unit_of(key) if isinstance(kind, forces.BuiltIn) else ""
+        element = getattr(problem, table)[labels.index(label)]
+        if isinstance(element.kind, TurnCounter):
+            return str(element.units[element.name]) if key == "start" else ""
+        if table == "states":
+            return element.units.get(key, "1") if key in dict(element.columns) else ""
+        return element.kind.unit_of(key) if isinstance(element.kind, forces.BuiltIn) else ""
     if key in ("coordinates", "velocities"):
         names = joint_of(quantity, problem).coordinate_names
         of_each = ["m" if name[0] in "ds" else "rad" for name in names]

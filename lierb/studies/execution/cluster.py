@@ -33,7 +33,6 @@ AHEAD = 2  # tasks of each worker: they run in turn, each with all its threads
 CONNECT_SECONDS = 30
 KEPT = "finished parts are kept, --resume (resume=True) does the rest"
 GONE = f"all workers of the cluster are gone; {KEPT}"
-LOST = f"the connection to the cluster was lost ({{}}); {KEPT}"
 LOST_SECONDS = 60  # s without any worker until the run ends
 TALKING = ("client", "core", "comm", "comm.core", "comm.tcp", "batched", "utils", "utils_comm")
 
@@ -52,11 +51,11 @@ def spread(
     A part whose worker dies is submitted again. With `gather` the files are sent to this process.
     """
     _be_quiet()
-    _require_workers(client)
     place = None if gather else (store.folder.resolve(), (store.folder / STUDY).read_bytes())
     tasks = _Tasks(client, study, iter(parts), place, threads)
     differing: set[str] = set()
     try:
+        _require_workers(client)
         tasks.submit(stopping)
         while tasks.submitted:
             for future in _finished(client, list(tasks.submitted)):
@@ -70,7 +69,8 @@ def spread(
         if not _is_lost(client, error):
             raise
         tasks.submitted.clear()
-        raise StudyError(LOST.format(type(error).__name__)) from None
+        lost = f"the connection to the cluster was lost ({type(error).__name__}); {KEPT}"
+        raise StudyError(lost) from None
     finally:
         tasks.cancel()
         for differences in differing:
@@ -238,16 +238,12 @@ def _require_workers(client: Client) -> None:
     except TimeoutError:
         address = client.scheduler_info().get("address", "its address")
         raise StudyError(f"the Dask scheduler at {address} has no workers; start some") from None
-    except Exception as error:
-        if not _is_lost(client, error):
-            raise
-        raise StudyError(LOST.format(type(error).__name__)) from None
     try:
         client.run_on_scheduler(machine)
         client.run(machine)
     except Exception as error:  # a failed import there raises many types
         if _is_lost(client, error):
-            raise StudyError(LOST.format(type(error).__name__)) from None
+            raise
         raise StudyError(
             "the scheduler or a worker cannot load lierb, which it needs as this process does "
             f"(installed here by {remedy('cluster')}): {error}"

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-import pyarrow as pa
 import pyarrow.compute as pc
 
-from lierb.results.columns import as_array
+from lierb.results.columns import as_array, unit_of
 from lierb.studies.description.settings import Setting
 from lierb.studies.storage.results import IS_SUCCESS, Results
 from lierb.support.arrays import Array
@@ -27,15 +26,10 @@ def ok_columns(dataset: Results, setting: Setting, names: list[str]) -> dict[str
     return {name: as_array(table[name]) for name in names}
 
 
-def field_unit(field: pa.Field) -> str:
-    unit: str = (field.metadata or {}).get(b"unit", b"1").decode()
-    return unit
-
-
 def drawn_columns(dataset: Results) -> dict[str, str]:
     """Return the names of the columns of sampled quantities, and their units."""
     fields = [field for field in dataset.table().schema if field.name.startswith("sample.")]
-    return {field.name: field_unit(field) for field in fields}
+    return {field.name: unit_of(field) or "1" for field in fields}
 
 
 def some_rows(rows: int, most: int) -> Array:

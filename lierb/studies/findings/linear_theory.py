@@ -7,11 +7,13 @@ x this is the slope of the best linear fit (Stein's lemma), and it needs no run 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from itertools import chain
 from math import prod
 from typing import NamedTuple
 
 import numpy as np
 
+from lierb.results.columns import unit_of
 from lierb.results.sensitivities import SEPARATOR
 from lierb.studies.description.quantiles import (
     CONFIDENCE,
@@ -24,7 +26,7 @@ from lierb.studies.description.settings import Setting
 from lierb.studies.description.study import Study
 from lierb.studies.description.study_tables import NOTHING
 from lierb.studies.findings.along_parameters import AlongParameters
-from lierb.studies.findings.columns import field_unit, ok_columns, some_rows
+from lierb.studies.findings.columns import ok_columns, some_rows
 from lierb.studies.storage.results import Results
 from lierb.support.arrays import Array
 
@@ -81,17 +83,19 @@ class _Output(NamedTuple):
     width: int = 1
 
 
-def linear_theory(
-    dataset: Results, study: Study, probabilities: Sequence[float] = PROBABILITIES
-) -> Iterator[LinearTheory]:
-    """Yield the linear theory of all outputs of a study with derivatives, setting by setting.
+def linear_theories(
+    dataset: Results, probabilities: Sequence[float] = PROBABILITIES
+) -> list[LinearTheory]:
+    """Return the linear theory of all outputs, setting by setting; [] without `sensitivities`.
 
     Outputs are the final values of observables and extra states, and the end time if events end
     trajectories; of a study without any of these, the components of the twists at the end.
     """
-    if study.integrate.sensitivities and study.design.drawn:
-        for setting in study.settings:
-            yield from _of_setting(dataset, study, setting, probabilities)
+    study = dataset.study
+    if not (study.integrate.sensitivities and study.design.drawn):
+        return []
+    each = (_of_setting(dataset, setting, probabilities) for setting in study.settings)
+    return [*chain.from_iterable(each)]
 
 
 def left_out(rows: Sequence[LinearTheory]) -> list[str]:
@@ -101,10 +105,11 @@ def left_out(rows: Sequence[LinearTheory]) -> list[str]:
 
 
 def _of_setting(
-    dataset: Results, study: Study, setting: Setting, probabilities: Sequence[float]
+    dataset: Results, setting: Setting, probabilities: Sequence[float]
 ) -> Iterator[LinearTheory]:
+    study = dataset.study
     outputs = [*_outputs(study)]
-    rows = _rows(dataset, study, setting, outputs)
+    rows = _rows(dataset, setting, outputs)
     count = len(next(iter(rows.values())))
     if count < 2:
         return
@@ -127,7 +132,7 @@ def _of_setting(
         yield LinearTheory(
             setting,
             output.name,
-            field_unit(schema.field(output.column)),
+            unit_of(schema.field(output.column)),
             _shares(slopes, covariances),
             tuple(q.value for q in percentiles),
             sampled,
@@ -159,10 +164,9 @@ def _outputs(study: Study) -> Iterator[_Output]:
                 yield _Output(f"{column} {i + 1}", column, i, f"{prefix}twist", first + i, 6)
 
 
-def _rows(
-    dataset: Results, study: Study, setting: Setting, outputs: Sequence[_Output]
-) -> dict[str, Array]:
+def _rows(dataset: Results, setting: Setting, outputs: Sequence[_Output]) -> dict[str, Array]:
     """Read outputs, derivatives and draws of the ok bodies without NaN, (n, numbers)."""
+    study = dataset.study
     columns = [output.column for output in outputs]
     columns += [_sampled(name) for name in study.design.quantities if name != NOTHING]
     columns += [

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -57,13 +57,13 @@ def first_times(dataset: Results, setting: Setting, name: str) -> tuple[Array, i
     return np.sort(first), int(counted.sum())
 
 
-def occurrences(
-    dataset: Results, study: Study, probabilities: Sequence[float] = PROBABILITIES
-) -> Iterator[Occurred]:
-    """Yield the occurrences of every event, setting by setting."""
-    for setting in study.settings:
-        for name in event_names(study):
+def crossings(dataset: Results, probabilities: Sequence[float] = PROBABILITIES) -> list[Occurred]:
+    """Return the occurrences of every event, setting by setting; [] without events."""
+    occurred = []
+    for setting in dataset.study.settings:
+        for name in event_names(dataset.study):
             first, count = first_times(dataset, setting, name)
             quantiles = tuple(quantile_of(first, p) for p in probabilities)
             had = int(np.isfinite(first).sum())
-            yield Occurred(setting, name, count, had, len(first), quantiles)
+            occurred.append(Occurred(setting, name, count, had, len(first), quantiles))
+    return occurred

@@ -7,10 +7,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lierb.errors import unknown_name
+from lierb.errors import require_name
 from lierb.studies.description.stopping import number_columns
 from lierb.studies.description.study import Study
-from lierb.studies.findings.findings import errors_seen
+from lierb.studies.findings.sizes import errors_seen
 from lierb.studies.storage.results import Results
 from lierb.support.arrays import Array
 
@@ -46,17 +46,17 @@ def ranking_named(study: Study, rank_by: str) -> Ranking:
     """
     known = number_columns(study.batch(0, 1).problem, study.has_lane_clocks)
     column = rank_by.removeprefix(SMALLEST) if isinstance(rank_by, str) else rank_by
-    if column not in known:
-        raise unknown_name("rank_by", column, known)
+    require_name("rank_by", column, known)
     return Ranking(column, column != rank_by)
 
 
-def rankings(dataset: Results, study: Study, rank_by: str | None = None) -> list[Ranking]:
+def rankings(dataset: Results, rank_by: str | None = None) -> list[Ranking]:
     """Return the rankings of a report, the most important one first.
 
     rank_by : see `ranking_named`. Default: the column of the study's stopping rule, or else the
     maximum of the first observable, or else every error that is not negligible.
     """
+    study = dataset.study
     if rank_by is not None:
         return [ranking_named(study, rank_by)]
     rule = study.stopping_rule
@@ -64,4 +64,4 @@ def rankings(dataset: Results, study: Study, rank_by: str | None = None) -> list
         return [Ranking(rule.column)]
     if observables := study.batch(0, 1).problem.observables:
         return [Ranking(f"{observables[0].name}_max")]
-    return [Ranking(column) for column in errors_seen(dataset, study).values()]
+    return [Ranking(column) for column in errors_seen(dataset).values()]

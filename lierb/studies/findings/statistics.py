@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -11,16 +11,11 @@ import pyarrow.compute as pc
 
 from lierb.errors import require_name
 from lierb.kernels.systems.observables import KEEPS
-from lierb.results.columns import as_array
-from lierb.studies.description.quantiles import (
-    CONFIDENCE,
-    PROBABILITIES,
-    Quantile,
-    quantile_of,
-)
+from lierb.results.columns import as_array, unit_of
+from lierb.studies.description.quantiles import CONFIDENCE, PROBABILITIES, Quantile, quantile_of
 from lierb.studies.description.settings import Setting
-from lierb.studies.description.study import Study
-from lierb.studies.findings.columns import field_unit, ok_columns, rows_of
+from lierb.studies.findings.columns import ok_columns, rows_of
+from lierb.studies.findings.sizes import errors_seen
 from lierb.studies.storage.results import IS_SUCCESS, Results
 from lierb.support.arrays import Array
 from lierb.support.extras import require
@@ -43,30 +38,27 @@ class Spread(NamedTuple):
     quantiles: tuple[Quantile, ...]
 
 
-def observed_columns(dataset: Results, study: Study) -> dict[str, str]:
-    """Return the names of the summary's columns of observables, and their units."""
-    names = [
-        f"{element.name}_{how}"
-        for element in study.batch(0, 1).problem.observables
-        for how in KEEPS
-    ]
-    schema = dataset.table().schema
-    return {name: field_unit(schema.field(name)) for name in names}
+def _observed_columns(dataset: Results) -> list[str]:
+    """Return the names of the summary's columns of observables."""
+    observables = dataset.study.batch(0, 1).problem.observables
+    return [f"{element.name}_{how}" for element in observables for how in KEEPS]
 
 
-def spreads(
-    dataset: Results,
-    study: Study,
-    columns: dict[str, str],
-    probabilities: Sequence[float] = PROBABILITIES,
-) -> Iterator[Spread]:
-    """Yield quantiles of columns of the summary, setting by setting.   columns : their units."""
-    for setting in study.settings:
-        for name, unit in columns.items():
+def quantities(dataset: Results, probabilities: Sequence[float] = PROBABILITIES) -> list[Spread]:
+    """Return quantiles, with intervals, of the errors that are not zero and of all observables.
+
+    probabilities : of the quantiles; 0.5 is the median.
+    """
+    columns, schema = [*errors_seen(dataset).values()], dataset.table().schema
+    spreads = []
+    for setting in dataset.study.settings:
+        for name in columns + _observed_columns(dataset):
             values = ok_columns(dataset, setting, [name])[name]
             ordered = np.sort(values[~np.isnan(values)])
             quantiles = tuple(quantile_of(ordered, p) for p in probabilities)
-            yield Spread(setting, name, unit, len(ordered), len(values) - len(ordered), quantiles)
+            unit, undefined = unit_of(schema.field(name)), len(values) - len(ordered)
+            spreads.append(Spread(setting, name, unit, len(ordered), undefined, quantiles))
+    return spreads
 
 
 # ---- over time ---------------------------------------------------------------------------------
@@ -108,11 +100,8 @@ def percentiles_over_time(
         for group in np.split(values[order], starts):
             alive = group[~np.isnan(group)]
             counts.append(len(alive))
-            none = np.full(len(probabilities), np.nan)
-            is_any = len(alive) > 0
-            quantiles.append(
-                np.quantile(alive, probabilities, method="inverted_cdf") if is_any else none
-            )
+            some_alive = alive if len(alive) else [np.nan]
+            quantiles.append(np.quantile(some_alive, probabilities, method="inverted_cdf"))
     unit = schema.field(name).metadata
     columns = np.array(quantiles).reshape(-1, len(probabilities)).T
     fields = [
@@ -166,19 +155,19 @@ class Sensitivity(NamedTuple):
     rows: int
 
 
-def sensitivities(dataset: Results, study: Study, columns: Sequence[str]) -> Iterator[Sensitivity]:
-    """Yield Sobol's indices of columns of the summary, of a "saltelli" design.
+def indices(dataset: Results) -> list[Sensitivity]:
+    """Return Sobol's indices of the observables, or else of the errors; [] for other designs.
 
     By `scipy.stats.sobol_indices`: first order by Saltelli et al. (2010), total by Jansen (1999).
     The first 2ᵏ rows of the design are used, up to the first body that is not ok, not done, or has
     no number. Intervals are percentiles of bootstrapped rows.
     """
-    design = study.design
+    design, found = dataset.study.design, []
     if design.method != "saltelli":
-        return
+        return []
     each = len(design.drawn) + 2
-    for setting in study.settings:
-        for column in columns:
+    for setting in dataset.study.settings:
+        for column in _observed_columns(dataset) or errors_seen(dataset).values():
             values = np.full(design.n, np.nan)
             is_ok = rows_of(setting) & IS_SUCCESS
             table = dataset.table().to_table(columns=["trajectory", column], filter=is_ok)
@@ -186,10 +175,11 @@ def sensitivities(dataset: Results, study: Study, columns: Sequence[str]) -> Ite
             whole = np.isfinite(values.reshape(-1, each)).all(axis=1)
             count = len(whole) if whole.all() else int(whole.argmin())
             rows = 1 << count.bit_length() - 1 if count else 0
-            indices = _indices(values[: rows * each].reshape(-1, each))
+            both = _indices(values[: rows * each].reshape(-1, each))
             for j, name in enumerate(design.drawn):
-                first, total = (_Index(*map(float, part[:, j])) for part in indices)
-                yield Sensitivity(setting, column, name, first, total, rows)
+                first, total = (_Index(*map(float, part[:, j])) for part in both)
+                found.append(Sensitivity(setting, column, name, first, total, rows))
+    return found
 
 
 def _indices(values: Array) -> tuple[Array, Array]:

@@ -11,6 +11,7 @@ from lierb.studies.description.study import Study
 from lierb.studies.description.study_file import ELEMENTS
 from lierb.studies.description.units import each_unit, joint_of
 from lierb.support.arrays import Array
+from lierb.support.representations import with_unit
 
 SUBSCRIPTS = str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉")
 SYMBOLS = {  # symbols of a vector's components
@@ -47,11 +48,12 @@ def labelled(
         for symbol, own, column in zip(symbols, each_unit(unit, width), columns.T, strict=True):
             if differs.any() and np.all(column == column[:1]):
                 continue
-            yield symbol if own == "1" else f"{symbol} [{own}]", column
+            yield with_unit(symbol, own), column
 
 
 def _symbols(quantity: str, width: int, is_vector: bool, study: Study) -> list[str]:
     """Return a name for each component."""
+    whole = quantity
     section, _, key = quantity.rpartition(".")
     first, _, of_link = section.partition(".")
     owner = ""
@@ -60,10 +62,7 @@ def _symbols(quantity: str, width: int, is_vector: bool, study: Study) -> list[s
     elif first == "forces":
         owner = f"{of_link}: "
     if quantity in ("initial.coordinates", "initial.velocities"):
-        names = _of_coordinates(
-            f"{owner.removesuffix(': ')}.{quantity}" if owner else quantity, width, study
-        )
-        return [owner + name for name in names]
+        return [owner + name for name in _of_coordinates(whole, width, study)]
     if is_vector and len(SYMBOLS.get(quantity, ())) == width:
         return [owner + symbol for symbol in SYMBOLS[quantity]]
     word = owner + key.replace("_", " ")

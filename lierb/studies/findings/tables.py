@@ -63,7 +63,7 @@ def with_interval(
 
 
 def named(name: str, unit: str) -> str:
-    return f"{name}, {unit}" if unit != "1" else name
+    return f"{name}, {unit}" if unit not in ("", "1") else name
 
 
 def _in_sections(table: Table, rows: Iterable[Row]) -> Iterator[Row]:
@@ -77,11 +77,12 @@ def _in_sections(table: Table, rows: Iterable[Row]) -> Iterator[Row]:
         yield each
 
 
-def _add_quantiles(
-    table: Table, names: Sequence[str], quantiles: Sequence[Quantile], beyond: str = "inf"
-) -> None:
-    """Add a row for each quantile.   names : lines of the first column."""
-    rows = [(percent(q.probability), *with_interval(q[1:], beyond=beyond)) for q in quantiles]
+def _quantile_row(quantile: Quantile, beyond: str = "inf") -> list[str]:
+    return [percent(quantile.probability), *with_interval(quantile[1:], beyond=beyond)]
+
+
+def _add_rows(table: Table, names: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
+    """Add rows.   names : lines of the first column."""
     for name, row in zip_longest((f"  {name}" for name in names), rows):
         table.add_row(name, *row or ())
 
@@ -95,7 +96,7 @@ def table_of_quantities(rows: list[Spread]) -> Table:
     for each in _in_sections(table, rows):
         names = [named(each.name, each.unit)]
         names += [f"  not a number: {each.undefined}"] if each.undefined else []
-        _add_quantiles(table, names, each.quantiles)
+        _add_rows(table, names, map(_quantile_row, each.quantiles))
     return table
 
 
@@ -108,7 +109,7 @@ def table_of_events(rows: list[Occurred], t_end: float) -> Table:
             f"  in {each.bodies} of {counted(each.of, 'body', 'bodies')}",
             f"  {each.crossings} in all",
         ]
-        _add_quantiles(table, names, each.first, beyond=f"> {t_end:g}")
+        _add_rows(table, names, [_quantile_row(q, f"> {t_end:g}") for q in each.first])
     return table
 
 
@@ -133,17 +134,13 @@ def table_of_linear_theory(rows: list[LinearTheory]) -> Table:
     """Make the table of importance factors, and of linear percentiles beside sampled ones."""
     table = empty_table(("linear theory: share of variance",), ("", "linear", "sampled", INTERVAL))
     for each in _in_sections(table, rows):
-        names = [named(each.name, each.unit), *shares_of(each)]
-        quantiles = zip(each.linear, each.sampled, strict=True)
-        numbers = [
-            (percent(q.probability), f"{x:.3g}", *with_interval(q[1:])) for x, q in quantiles
-        ]
-        for name, row in zip_longest((f"  {name}" for name in names), numbers):
-            table.add_row(name, *row or ())
+        names = [named(each.name, each.unit), *(f"  {share}" for share in shares_of(each))]
+        rows_of = map(_quantile_row, each.sampled)
+        _add_rows(table, names, [[p, f"{x:.3g}", *q] for x, (p, *q) in zip(each.linear, rows_of)])
     return table
 
 
 def shares_of(theory: LinearTheory) -> list[str]:
     """Format the importance factors, the largest first."""
     shares = sorted(theory.shares.items(), key=lambda pair: -pair[1])
-    return [f"  {share:.3f} {quantity}" for quantity, share in shares]
+    return [f"{share:.3f} {quantity}" for quantity, share in shares]

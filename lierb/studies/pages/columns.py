@@ -7,10 +7,10 @@ from typing import NamedTuple
 
 import pyarrow as pa
 
-from lierb.studies.description.study import Study
-from lierb.studies.findings.columns import field_unit
-from lierb.studies.findings.findings import ERRORS, least_drawn
+from lierb.results.columns import unit_of
+from lierb.studies.findings.sizes import ERRORS, least_drawn
 from lierb.studies.storage.results import Results
+from lierb.support.representations import with_unit
 
 AXES = {
     "position": "position error [m]",
@@ -34,8 +34,7 @@ def other_columns(schema: pa.Schema, known: set[str]) -> list[pa.Field]:
 
 
 def axis_label(field: pa.Field) -> str:
-    unit, title = field_unit(field), field.name.replace("_", " ")
-    return f"{title} [{unit}]" if unit not in ("", "1") else title
+    return with_unit(field.name.replace("_", " "), unit_of(field))
 
 
 class Ordinate(NamedTuple):
@@ -51,9 +50,9 @@ class Ordinate(NamedTuple):
     least: float | None
 
 
-def ordinates(dataset: Results, study: Study, columns: Iterable[str]) -> list[Ordinate]:
+def ordinates(dataset: Results, columns: Iterable[str]) -> list[Ordinate]:
     """Return the axes of different columns of the summary; those of errors are logarithmic."""
-    schema, least = dataset.table().schema, least_drawn(dataset, study)
+    schema, least = dataset.table().schema, least_drawn(dataset)
     kinds = {column: kind for kind, column in ERRORS.items()}
     axes = []
     for column in dict.fromkeys(columns):

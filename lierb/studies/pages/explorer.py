@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from lierb.studies.description.study import Study
 from lierb.studies.findings.columns import drawn_columns, ok_columns, some_rows
 from lierb.studies.findings.ranking import Ranking
 from lierb.studies.findings.symbols import labelled
@@ -25,14 +24,14 @@ POINTS = 3000  # most dots of a setting, in addition to its worst bodies
 WORST = 5  # worst bodies of each ranking, which are always shown
 
 
-def explorer(dataset: Results, study: Study, ranked: list[Ranking], errors: Iterable[str]) -> str:
+def explorer(dataset: Results, ranked: list[Ranking], errors: Iterable[str]) -> str:
     """Return the HTML of a figure of results over any sampled number, a dot for each body.
 
     errors : columns that the figure has beside those of the rankings.   Returns "" without sampled
     numbers or ok bodies.
     """
-    drawn = drawn_columns(dataset)
-    axes = ordinates(dataset, study, (*(each.column for each in ranked), *errors))
+    study, drawn = dataset.study, drawn_columns(dataset)
+    axes = ordinates(dataset, (*(each.column for each in ranked), *errors))
     columns = [axis.column for axis in axes]
     across: list[dict[str, Array]] = []
     up: list[dict[str, Array]] = []

@@ -11,7 +11,6 @@ from lierb.errors import require_name
 from lierb.results.panels import Sheet, figure_of
 from lierb.studies.description.study import Study
 from lierb.studies.findings.columns import drawn_columns, ok_columns
-from lierb.studies.findings.findings import study_of
 from lierb.studies.findings.symbols import labelled
 from lierb.studies.pages.over_bodies import distribution_sheet, parameter_sheet, quantity_sheet
 from lierb.studies.pages.over_step import order_sheet
@@ -25,7 +24,7 @@ from matplotlib.figure import Figure  # noqa: E402
 
 from lierb.results.plots import save  # noqa: E402
 
-KINDS: dict[str, Callable[[Results, Study], Sheet]] = {
+KINDS: dict[str, Callable[[Results], Sheet]] = {
     "distribution": distribution_sheet,
     "time": time_sheet,
     "recorded": recorded_sheet,
@@ -49,7 +48,7 @@ CAPTIONS = {
 
 def omitted(dataset: Results) -> dict[str, str]:
     """Return the figures that are left out, by name, and the reason."""
-    study = study_of(dataset)
+    study = dataset.study
     rows = ok_columns(dataset, study.settings[0], list(drawn := drawn_columns(dataset)))
     reasons = {
         "time": (not study.integrate.saves, "neither save_every nor save_at is set"),
@@ -70,20 +69,19 @@ def sheets(dataset: Results, rank_by: str | None = None) -> Iterator[tuple[str, 
 
     rank_by : column of "parameters"; see `lierb.studies.findings.ranking.rankings`.
     """
-    study, left_out = study_of(dataset), omitted(dataset)
+    left_out = omitted(dataset)
     kinds = KINDS | {"parameters": partial(parameter_sheet, rank_by=rank_by)}
     for name, make in kinds.items():
         if name not in left_out:
-            sheet = make(dataset, study)
+            sheet = make(dataset)
             if sheet.panels:
                 yield name, sheet
 
 
 def figures(dataset: Results) -> Iterator[tuple[str, Figure]]:
     """Draw the figures of `sheets`."""
-    study = study_of(dataset)
     for name, sheet in sheets(dataset):
-        yield name, figure_of(sheet, study)
+        yield name, figure_of(sheet, dataset.study)
 
 
 def figure(dataset: Results, name: str | None = None) -> Figure:
@@ -92,7 +90,7 @@ def figure(dataset: Results, name: str | None = None) -> Figure:
     if name is None:
         name = "time" if "time" in drawable else "distribution"
     require_name("name", name, drawable)
-    return figure_of(drawable[name], study_of(dataset))
+    return figure_of(drawable[name], dataset.study)
 
 
 def draw_all(dataset: Results, folder: Path) -> list[Path]:

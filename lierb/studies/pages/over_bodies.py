@@ -19,19 +19,11 @@ from lierb.results.panels import (
     positive,
     ridges,
 )
-from lierb.studies.description.study import Study
 from lierb.studies.findings.columns import drawn_columns, ok_columns, some_rows
-from lierb.studies.findings.findings import errors_seen, least_drawn
 from lierb.studies.findings.ranking import rankings
+from lierb.studies.findings.sizes import errors_seen, least_drawn
 from lierb.studies.findings.symbols import labelled
-from lierb.studies.pages.columns import (
-    AXES,
-    KNOWN,
-    Ordinate,
-    axis_label,
-    ordinates,
-    other_columns,
-)
+from lierb.studies.pages.columns import AXES, KNOWN, Ordinate, axis_label, ordinates, other_columns
 from lierb.studies.pages.looks import Look, looks, step_sizes
 from lierb.studies.storage.results import Results
 from lierb.support.arrays import Array
@@ -45,9 +37,9 @@ RANKS = 2000  # most points of a distribution function
 IN_SUMMARY = KNOWN | {f"{measure.name}_{how}" for measure, how in KEPT}
 
 
-def distribution_sheet(dataset: Results, study: Study) -> Sheet:
+def distribution_sheet(dataset: Results) -> Sheet:
     """Draw distribution functions and histograms of the largest errors of the bodies."""
-    seen, least, shown = errors_seen(dataset, study), least_drawn(dataset, study), looks(study)
+    seen, least, shown = errors_seen(dataset), least_drawn(dataset), looks(dataset.study)
     panels: list[Draw] = []
     columns = dataset.table().schema.names
     finals = {kind: name for kind, name in FINAL.items() if kind in seen and name in columns}
@@ -62,9 +54,9 @@ def distribution_sheet(dataset: Results, study: Study) -> Sheet:
                  height=max(3.2, 0.42 * len(shown) + 0.9))  # fmt: skip
 
 
-def quantity_sheet(dataset: Results, study: Study) -> Sheet:
+def quantity_sheet(dataset: Results) -> Sheet:
     """Draw histograms of the summary's other columns, such as those of observables."""
-    shown, panels = looks(study), []
+    shown, panels = looks(dataset.study), []
     for field in other_columns(dataset.table().schema, IN_SUMMARY):
         rows = [_ridge(dataset, look, field.name, None) for look in shown]
         panels.append(partial(_draw_ridges, rows, -1.0, axis_label(field), False))
@@ -107,10 +99,10 @@ def _draw_ridges(rows: list[Ridge], least: float, label: str, is_log: bool, pane
     panel.set_xlabel(label, parse_math=False)
 
 
-def parameter_sheet(dataset: Results, study: Study, rank_by: str | None = None) -> Sheet:
+def parameter_sheet(dataset: Results, rank_by: str | None = None) -> Sheet:
     """Draw the column by which the bodies are ranked over sampled numbers."""
-    drawn = drawn_columns(dataset)
-    (up,) = ordinates(dataset, study, [rankings(dataset, study, rank_by)[0].column])
+    study, drawn = dataset.study, drawn_columns(dataset)
+    (up,) = ordinates(dataset, [rankings(dataset, rank_by)[0].column])
     largest = [s for s in study.settings if s.step == step_sizes(study)[0]]
     shown = looks(study, largest)
     dots = []
@@ -126,10 +118,7 @@ def parameter_sheet(dataset: Results, study: Study, rank_by: str | None = None) 
 
 
 def _draw_dots(
-    dots: list[tuple[Look, Array, dict[str, Array]]],
-    label: str,
-    up: Ordinate,
-    panel: Axes,
+    dots: list[tuple[Look, Array, dict[str, Array]]], label: str, up: Ordinate, panel: Axes
 ) -> None:
     zeros, on_edge = [], []
     for n, (look, values, columns) in enumerate(dots):

@@ -11,8 +11,8 @@ from lierb.analysis.convergence import ROUNDING_FLOOR
 from lierb.methods import method_named
 from lierb.results.panels import MOST_KEYS, Key, Sheet, label_lines, log_axes, order_lines, positive
 from lierb.results.plots import MATH_NAMES
-from lierb.studies.description.study import Study
-from lierb.studies.findings.findings import SettingErrors, errors_seen, findings, least_drawn
+from lierb.studies.findings.findings import SettingErrors, findings
+from lierb.studies.findings.sizes import errors_seen, least_drawn
 from lierb.studies.pages.columns import AXES
 from lierb.studies.pages.looks import looks
 from lierb.studies.storage.results import Results
@@ -21,9 +21,9 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 
-def order_sheet(dataset: Results, study: Study) -> Sheet:
+def order_sheet(dataset: Results) -> Sheet:
     """Draw quantiles of the errors over dt, with a line of the method's order."""
-    seen, least = errors_seen(dataset, study), least_drawn(dataset, study)
+    study, seen, least = dataset.study, errors_seen(dataset), least_drawn(dataset)
     summaries = findings(dataset)
     spaces = list(dict.fromkeys((s.cspace, s.method) for s in study.settings))
     first = [next(s for s in study.settings if (s.cspace, s.method) == own) for own in spaces]

@@ -12,9 +12,8 @@ from lierb.kernels.systems.measures import MEASURES
 from lierb.results.columns import as_array
 from lierb.results.panels import MOST_KEYS, NO_TIMES, Sheet, label_lines, log_axes, positive
 from lierb.studies.description.settings import Setting
-from lierb.studies.description.study import Study
-from lierb.studies.findings.findings import errors_seen, least_drawn
 from lierb.studies.findings.occurrences import event_names, first_times
+from lierb.studies.findings.sizes import errors_seen, least_drawn
 from lierb.studies.findings.statistics import percentiles_over_time
 from lierb.studies.pages.columns import AXES, KNOWN, axis_label, other_columns
 from lierb.studies.pages.looks import Look, looks
@@ -30,9 +29,9 @@ RANKS = 2000  # most points of a distribution function
 IN_HISTORY = KNOWN | {measure.name for measure in MEASURES} - {"energy"}
 
 
-def time_sheet(dataset: Results, study: Study) -> Sheet:
+def time_sheet(dataset: Results) -> Sheet:
     """Draw errors over time: median, 5 to 95 % and largest of the bodies."""
-    seen, least, shown = errors_seen(dataset, study), least_drawn(dataset, study), looks(study)
+    seen, least, shown = errors_seen(dataset), least_drawn(dataset), looks(dataset.study)
     panels = [
         partial(_draw_errors, dataset, shown, HISTORY[kind], least[kind], AXES[kind])
         for kind in seen
@@ -41,10 +40,10 @@ def time_sheet(dataset: Results, study: Study) -> Sheet:
                  [look.key for look in shown])  # fmt: skip
 
 
-def recorded_sheet(dataset: Results, study: Study) -> Sheet:
+def recorded_sheet(dataset: Results) -> Sheet:
     """Draw other columns of the history over time, such as the energy and observables."""
-    shown = looks(study)
-    if not study.integrate.saves:
+    shown = looks(dataset.study)
+    if not dataset.study.integrate.saves:
         return Sheet("", ())
     fields = other_columns(dataset.table("history").schema, IN_HISTORY)
     panels = [partial(_draw_column, dataset, shown, each.name, axis_label(each)) for each in fields]
@@ -104,16 +103,16 @@ def _end(times: Array, line: Array) -> tuple[float, float]:
     return float(times[last]), float(line[last])
 
 
-def event_sheet(dataset: Results, study: Study) -> Sheet:
+def event_sheet(dataset: Results) -> Sheet:
     """Share of the bodies to which each event has happened, over time."""
-    shown = looks(study)
-    panels = [partial(_draw_event, dataset, study, shown, name) for name in event_names(study)]
+    shown = looks(dataset.study)
+    panels = [partial(_draw_event, dataset, shown, name) for name in event_names(dataset.study)]
     keys = [look.key for look in shown]
     return Sheet("when each event first happened", panels, keys, across=3)
 
 
-def _draw_event(dataset: Results, study: Study, shown: list[Look], name: str, panel: Axes) -> None:
-    run = study.integrate
+def _draw_event(dataset: Results, shown: list[Look], name: str, panel: Axes) -> None:
+    run = dataset.study.integrate
     for look in shown:
         first, _ = first_times(dataset, look.setting, name)
         if not first.size:

@@ -31,11 +31,12 @@ class Chosen:
     ranking: Ranking | None
 
 
-def chosen(dataset: Results, study: Study, ranking: Ranking) -> Chosen | None:
+def chosen(dataset: Results, ranking: Ranking) -> Chosen | None:
     """Choose the worst trajectory and, in its setting, the median one.
 
     Of a study none of whose bodies got to its end, the first that failed. None without any row.
     """
+    study = dataset.study
     worst: tuple[float, Setting, dict[str, int]] | None = None
     for setting in study.settings:
         rows = ok_columns(dataset, setting, ["trajectory", ranking.column])

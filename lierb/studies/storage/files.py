@@ -7,6 +7,7 @@ import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -35,14 +36,12 @@ class File:
 class Stored:
     """A stored file is synced to the folder under the name `aside`, which readers skip.
 
-    path, failed : as in File.
+    path : as in File.   entry : of the file in the manifest.
     """
 
     path: str
     aside: str
-    rows: int
-    sha256: str
-    failed: dict[str, int]
+    entry: dict[str, Any]
 
 
 def parquet_files(part: str, tables: dict[str, pa.Table], compression: str) -> list[File]:

@@ -23,7 +23,6 @@ from lierb.studies.description.differentiated import parameters_of
 from lierb.studies.description.settings import Setting
 from lierb.studies.description.study import Study
 from lierb.studies.description.units import unit_of
-from lierb.support.arrays import Array
 from lierb.support.collected_warnings import warnings_collected
 
 Progress = Callable[[int, int], None]
@@ -207,7 +206,8 @@ def saved_rows(study: Study) -> int:
 def _with_draws(table: pa.Table, study: Study, batch: Batch) -> pa.Table:
     """Append columns of the sampled quantities, with their units."""
     for name, values in batch.draws.items():
-        column = _column(np.ascontiguousarray(values))
+        flat = values.reshape(len(values), -1)
+        column = numbers(flat) if values.ndim == 1 else vectors(flat)
         unit = unit_of(name, study, batch.problem)
         metadata = {"unit": unit} if unit else None
         table = table.append_column(
@@ -225,8 +225,3 @@ def _with_derivatives(table: pa.Table, result: Result) -> pa.Table:
         if SEPARATOR in field.name:
             table = table.append_column(field, derivatives[field.name])
     return table
-
-
-def _column(values: Array) -> pa.Array:
-    """Return a column of numbers, or of flat lists of a body's numbers."""
-    return numbers(values) if values.ndim == 1 else vectors(values.reshape(len(values), -1))

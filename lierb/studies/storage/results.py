@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.dataset as ds
 import pyarrow.parquet as pq
+from pydantic import ValidationError
 
 from lierb.errors import LierbError, StudyError
 from lierb.results.failures import COLUMNS, SUCCESSES, Failures
@@ -64,12 +66,25 @@ class Results(Represented):
             The folder has no manifest, or not any more.
         """
         self.manifest = read_manifest(self.folder / MANIFEST)
+        self.__dict__.pop("study", None)
 
     def _read_once(self) -> None:
         if not self.manifest:
             self.read()
 
     # ---- study -----------------------------------------------------------------------------------
+
+    @cached_property
+    def study(self) -> Study:
+        """Return the study as it was run, with its Python files.
+
+        Raises StudyError where a file is missing or was edited since.
+        """
+        self._read_once()
+        try:
+            return Study.model_validate(self.manifest["study"]).with_code(self.code())
+        except ValidationError as error:
+            raise StudyError(f"{self.folder} is of another version of lierb: {error}") from None
 
     def study_text(self, digest: str | None = None) -> str | None:
         """Return the text of study.toml; None if there is none.
@@ -200,9 +215,7 @@ class Results(Represented):
         columns = [*setting_columns(table.schema), *COLUMNS]
         (row,) = table.head(1, columns=columns, filter=~IS_SUCCESS).to_pylist()
         setting, first = Setting.of_row(row), {name: row[name] for name in COLUMNS}
-        counts: Counter[str] = Counter()
-        for _, failed in failing:
-            counts.update(failed)
+        counts = sum((Counter(failed) for _, failed in failing), Counter())
         return Failures(self.trajectories, dict(counts), **first, setting=setting.label)
 
     def _summaries(self) -> Iterator[tuple[str, dict[str, Any]]]:

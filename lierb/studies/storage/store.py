@@ -63,23 +63,20 @@ class Store(Results):
         with naming(self.folder, "made", "choose another folder"):
             self.folder.mkdir(parents=True, exist_ok=True)
         path = self.folder / LOCK
-        lock = FileLock(path)
         try:
-            lock.acquire(timeout=0)
+            lock = FileLock(path).acquire(timeout=0)
         except Timeout:
             raise StudyError(
                 f"{self.folder} is being written by another run, which holds {path}"
             ) from None
         except (OSError, NotImplementedError) as error:  # another user's, or without locks
             raise StudyFileError(f"{path} cannot be locked: {reason(error)}; {LOCKABLE}") from error
-        try:
-            yield
-        finally:
+        with lock:
             try:
+                yield
+            finally:
                 if not self._written:
                     self._write_manifest()
-            finally:
-                lock.release()
 
     def exists(self) -> bool:
         return os.path.lexists(self.folder / MANIFEST)
@@ -129,14 +126,13 @@ class Store(Results):
         Any process may store, only the one with the lock enters: a worker left by an earlier run
         overwrites nothing.
         """
-        return [
-            Stored(
-                file.path,
-                str(write_aside(self.folder / file.path, file.content).relative_to(self.folder)),
-                file.rows, hashlib.sha256(file.content).hexdigest(), file.failed,
-            )
-            for file in files
-        ]  # fmt: skip
+        stored = []
+        for file in files:
+            aside = write_aside(self.folder / file.path, file.content).relative_to(self.folder)
+            entry = {"rows": file.rows, "sha256": hashlib.sha256(file.content).hexdigest()}
+            failed = {"failed": file.failed} if file.failed else {}
+            stored.append(Stored(file.path, str(aside), entry | failed))
+        return stored
 
     def enter(self, part: str, files: list[Stored]) -> None:
         """Rename a part's files, and enter the part in the manifest.
@@ -148,11 +144,7 @@ class Store(Results):
             rename(self.folder / file.aside, self.folder / file.path)
             self._whole[file.path] = as_it_is(self.folder / file.path)
         self._written = False
-        self.parts[part] = {
-            file.path: {"rows": file.rows, "sha256": file.sha256}
-            | ({"failed": file.failed} if file.failed else {})
-            for file in files
-        }
+        self.parts[part] = {file.path: file.entry for file in files}
         if time.monotonic() >= self._next_writing:
             self._write_manifest()
 

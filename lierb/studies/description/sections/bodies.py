@@ -6,7 +6,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from lierb.errors import ArgumentError, unknown_name
+from lierb.errors import ArgumentError, require_name
 from lierb.model import joints
 from lierb.model.bodies import solids
 from lierb.model.bodies.body import Body
@@ -80,10 +80,9 @@ class JointSection(Section):
             if point in sampled and frame in values:  # move the frame's origin there
                 values[frame] = _with_origins(values[frame], values.pop(point))
         name = values.pop("type")
-        if name not in joints.JOINTS and name != "from_rows":
-            raise unknown_name("type", name, (*joints.JOINTS, "from_rows"))
-        make = joints.from_rows if name == "from_rows" else joints.JOINTS[name]
-        made: Joint = called("joint", make, values)
+        known: dict[str, Any] = {**joints.JOINTS, "from_rows": joints.from_rows}
+        require_name("type", name, known)
+        made: Joint = called("joint", known[name], values)
         return made
 
 

@@ -16,33 +16,28 @@ from lierb.studies.description.messages import called
 from lierb.studies.description.sections.bodies import LinkSection, LoopSection
 from lierb.studies.description.sections.fields import SECTION, Names, Section, Vector
 from lierb.studies.description.study_file import ELEMENTS
-from lierb.support.arrays import Array
 
 MOST_LINKS = 1000
 MOST_FORCES = 100  # all forces are compiled into one kernel
 
 
-def _type_of_force(given: str) -> str:
-    if given in forces.FORCE_UNITS or named(given):
-        return given
-    known = ", ".join(map(repr, forces.FORCE_UNITS))
-    raise PydanticCustomError("type_of_force", f"input should be {known} or {EXPECTED}")
-
-
-def _type_of_states(given: str) -> str:
-    return given if given == TURNS else _type_of_function(given)
-
-
-def _type_of_function(given: str) -> str:
-    if named(given):
-        return given
-    raise PydanticCustomError("type_of_function", f"input should be {EXPECTED}")
-
-
-OF_FUNCTION = {"type": "string", "pattern": PATTERN}
 TURNS = turns.__name__  # type of states that count turns
-OF_STATES = {"anyOf": [{"enum": [TURNS], "type": "string"}, OF_FUNCTION]}
-OF_FORCE = {"anyOf": [{"enum": [*forces.FORCE_UNITS], "type": "string"}, OF_FUNCTION]}
+BUILT_IN = {name: getattr(forces, name) for name in forces.FORCE_UNITS} | {TURNS: turns}
+
+
+def _type_of(*known: str) -> tuple[Any, Any]:
+    """Return validator and schema of a type: one of the known ones, or a function in a file."""
+
+    def check(given: str) -> str:
+        if given in known or named(given):
+            return given
+        expected = f"{', '.join(map(repr, known))} or {EXPECTED}" if known else EXPECTED
+        raise PydanticCustomError("type_of_element", "input should be {it}", {"it": expected})
+
+    schema: dict[str, Any] = {"type": "string", "pattern": PATTERN}
+    if known:
+        schema = {"anyOf": [{"enum": [*known], "type": "string"}, schema]}
+    return AfterValidator(check), WithJsonSchema(schema)
 
 
 class ElementSection(BaseModel):
@@ -54,7 +49,7 @@ class ElementSection(BaseModel):
     model_config = SECTION | ConfigDict(extra="allow")
 
     table: ClassVar[str]
-    type: Annotated[str, AfterValidator(_type_of_function), WithJsonSchema(OF_FUNCTION)]
+    type: Annotated[str, *_type_of()]
     name: str | None = None
     on: Annotated[Names, Field(min_length=1, max_length=2)] | None = None
 
@@ -62,7 +57,7 @@ class ElementSection(BaseModel):
     def label(self) -> str:
         return self.name or self.type.rpartition(":")[2]
 
-    def make(self, sampled: dict[str, Array], code: Code) -> Any:
+    def make(self, sampled: dict[str, Any], code: Code) -> Any:
         """Make the element, by a function of lierb or of the study's files."""
         given = dict(self.model_extra or {})
         where = f"{self.table}.{self.label}"
@@ -76,14 +71,14 @@ class ElementSection(BaseModel):
         if named(self.type):
             made = function_of(self.table, self.type, code)(**values)
         else:
-            made = called(where, getattr(forces, self.type), values)
+            made = called(where, BUILT_IN[self.type], values)
         return made.on(*self.on) if self.on else made
 
 
 class ColumnSection(ElementSection):
     """Element whose `name` is its name in the results."""
 
-    def make(self, sampled: dict[str, Array], code: Code) -> Any:
+    def make(self, sampled: dict[str, Any], code: Code) -> Any:
         element = super().make(sampled, code)
         return element.named(self.name) if self.name else element
 
@@ -95,7 +90,7 @@ class ForceSection(ElementSection):
     """
 
     table = "forces"
-    type: Annotated[str, AfterValidator(_type_of_force), WithJsonSchema(OF_FORCE)]
+    type: Annotated[str, *_type_of(*forces.FORCE_UNITS)]
 
 
 class ConstraintSection(ElementSection):
@@ -124,15 +119,11 @@ class StatesSection(ElementSection):
     """
 
     table = "states"
-    type: Annotated[str, AfterValidator(_type_of_states), WithJsonSchema(OF_STATES)]
+    type: Annotated[str, *_type_of(TURNS)]
 
-    def make(self, sampled: dict[str, Array], code: Code) -> Any:
-        if self.type != TURNS:
-            return super().make(sampled, code)
-        named = {"name": self.name} if self.name else {}
-        values = dict(self.model_extra or {}) | sampled | named
-        made = called(f"{self.table}.{self.label}", turns, values)
-        return made.on(*self.on) if self.on else made
+    def make(self, sampled: dict[str, Any], code: Code) -> Any:
+        is_named = self.type == TURNS and self.name
+        return super().make(sampled | ({"name": self.name} if is_named else {}), code)
 
 
 class ControllerSection(ElementSection):
