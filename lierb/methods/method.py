@@ -18,7 +18,6 @@ from lierb.methods.checks import (
     MOST_ERROR_ROWS,
     explicit,
     require_both,
-    require_length,
     require_order,
     rows_of,
 )
@@ -168,7 +167,11 @@ class StagedMethod(Method):
                 f"error has {len(rows)} rows; expected one, b − b̂, or the two of DOP853"
             )
         for i, row in enumerate(rows):
-            require_length(row, self.stages, f"row {i} of error")
+            if len(row) != self.stages:
+                raise ArgumentError(
+                    f"row {i} of error has {len(row)} numbers; expected {self.stages}, one for "
+                    "each stage (zeros too)"
+                )
             if not any(row):
                 raise ArgumentError(f"row {i} of error has zeros alone; it is b − b̂")
         return rows

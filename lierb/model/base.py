@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, ClassVar, Self
@@ -17,7 +17,7 @@ from lierb.kernels.mechanics.rows import Rows
 from lierb.kernels.mechanics.spatial import Rigid
 from lierb.kernels.numbers.vec import IDENTITY, ZERO3, scale
 from lierb.kernels.systems.plan import AnyPlan
-from lierb.model.acting import ELEMENTS, bind, shown_element
+from lierb.model.acting import ELEMENTS, all_of, bind, shown_element
 from lierb.model.bodies.body import Body
 from lierb.model.connections import Connection
 from lierb.model.formulation import Formulation
@@ -30,18 +30,21 @@ from lierb.model.functions.observables import Observable
 from lierb.model.functions.states import ExtraStates
 from lierb.model.functions.wrenches import Force
 from lierb.model.joints.joint import Joint
-from lierb.model.numbers import Numbers, by_field, elements_with
+from lierb.model.numbers import Numbers, body_with, by_field, elements_with, joint_with
 from lierb.support.arrays import (
     Array,
     Pose,
     Which,
     batch_size,
     components,
+    items_at,
     member_of,
     pose_components,
 )
 from lierb.support.representations import Represented
 
+OfBody = Callable[[Body, str, str], Body]
+OfJoint = Callable[[Joint, str], Joint]
 DESCRIBED = ("forces", "constraints", "observables")  # in metadata, even if there are none
 
 
@@ -54,6 +57,7 @@ class Model(Represented):
     """
 
     default_cspace: ClassVar[str]
+    element_prefix: ClassVar[str]  # of `element_fields`
     flags_starts: ClassVar[bool]  # True if the kernels flag starts that violate the joint
 
     gravity: Array
@@ -74,23 +78,24 @@ class Model(Represented):
             self._set(**{label: self._fitted(label, elements, kind)})
         bind(self)
 
-    # ---- implemented by problems and mechanisms ----
-
     def _fitted(self, label: str, given: Any, kind: type[Element]) -> tuple[Any, ...]:
         """Check elements; raise if they cannot act on this model."""
+        one, several = (f"{words} made by lierb" for words in kind.words)
+        elements = all_of(label, given, kind, one, several)
+        return tuple(self._placed(f"{label}[{i}]", e) for i, e in enumerate(elements))
+
+    # ---- implemented by problems and mechanisms ----
+
+    def _placed(self, label: str, element: Element) -> Any:
+        """Return the element at its place; raise if it cannot act on this model."""
         raise NotImplementedError
 
-    @property
-    def _structure(self) -> tuple[Any, ...]:
-        """Arguments of the constructor before the elements."""
-        raise NotImplementedError
+    def _structure(self, body: OfBody, joint: OfJoint) -> tuple[Any, Any]:
+        """First two arguments of the constructor, with other bodies and joints.
 
-    def _structure_with(self, numbers: Numbers) -> tuple[Any, ...]:
-        """Arguments of the constructor before the elements, with numbers by field of `inputs`."""
-        raise NotImplementedError
-
-    def _structure_of(self, which: Which) -> tuple[Any, ...]:
-        """Arguments of the constructor before the elements, for part of the batch."""
+        body : function of a body, the prefix of its fields and its link's name.
+        joint : function of a joint and the prefix of its fields.
+        """
         raise NotImplementedError
 
     @property
@@ -192,25 +197,25 @@ class Model(Represented):
             label: (*getattr(changed, label), *self._fitted(label, added[label], kind))
             for label, kind in ELEMENTS.items()
         }
-        return self._remade(changed._structure, elements)
+        structure = changed._structure(lambda body, *_: body, lambda joint, _: joint)
+        return self._remade((*structure, changed.gravity), elements)
 
     def renumbered(self, numbers: Numbers) -> Self:
         """Return the model with other numbers in some fields of `inputs`, in the shapes there."""
         numbers = {field: np.asarray(x) for field, x in numbers.items()}  # kernels read addresses
-        elements = elements_with(self, numbers)
-        return self._remade(self._structure_with(numbers), elements)
+        structure = self._structure(
+            lambda body, field, link: body_with(body, numbers, field, link),
+            lambda joint, field: joint_with(joint, numbers, field),
+        )
+        gravity = numbers.get("gravity", self.gravity)
+        return self._remade((*structure, gravity), elements_with(self, numbers))
 
     def _remade(self, structure: tuple[Any, ...], elements: dict[str, Any]) -> Self:
         return type(self)(*structure, **elements)
 
     def _shown_elements(self) -> list[tuple[str, str]]:
-        def line(element: Element) -> str:
-            return shown_element(element) + (
-                f", on {' and '.join(element.at)}" if element.at else ""
-            )
-
         return [
-            (label, "\n".join(map(line, elements)))
+            (label, "\n".join(map(shown_element, elements)))
             for label in ELEMENTS
             if (elements := getattr(self, label))
         ]
@@ -252,7 +257,8 @@ class Model(Represented):
     def part(self, which: Which) -> Self:
         """Return one member of the batch, or a range of them."""
         elements = {label: [e.of_body(which) for e in getattr(self, label)] for label in ELEMENTS}
-        return self._remade(self._structure_of(which), elements)
+        structure = self._structure(lambda body, *_: body.of(which), lambda x, _: x.of(which))
+        return self._remade((*structure, items_at(self.gravity, which, 1)), elements)
 
     # ---- runs ----
 
@@ -328,10 +334,10 @@ class Model(Represented):
         """Prefix of each joint's fields in the inputs of the kernels."""
         raise NotImplementedError
 
-    @property
+    @cached_property
     def element_fields(self) -> tuple[str, ...]:
         """Prefix of each element's fields in the inputs of the kernels."""
-        raise NotImplementedError
+        return tuple(f"{self.element_prefix}{i}." for i in range(len(self.elements)))
 
     @property
     def quantities(self) -> dict[str, Array]:

@@ -58,7 +58,9 @@ def integrate(
     else:
         run = BlockRun(plan, inputs, times, output, used)
     if check is not None and not run.checks_late:
-        _check_all(run, check)
+        for first, starts in run.starts():
+            if not check(starts, first):
+                break
         check = None
     begin = RESUMED if inputs.state is not None else 0 if check is None else UNSEEN
     with reporter(progress, *run.total) as report:
@@ -74,15 +76,11 @@ def check_starts(
     plan: AnyPlan, inputs: Inputs, times: StepClock, threads: int | None, check: StartCheck | None
 ) -> None:
     """Check the starts of all trajectories without a step; arguments as for `integrate`."""
-    if check is not None:
-        output = Output.empty(plan, inputs.count, times, False)
-        used = threads_for(threads, -(-inputs.count // plan.lanes))
-        _check_all(BlockRun(plan, inputs, times, output, used), check)
-
-
-def _check_all(run: BlockRun | LaneRun, check: StartCheck) -> None:
-    """Check the starts, part by part, as long as `check` asks for more."""
-    for first, starts in run.starts():
+    if check is None:
+        return
+    output = Output.empty(plan, inputs.count, times, False)
+    used = threads_for(threads, -(-inputs.count // plan.lanes))
+    for first, starts in BlockRun(plan, inputs, times, output, used).starts():
         if not check(starts, first):
             break
 

@@ -51,6 +51,11 @@ class Parameter(NamedTuple):
         """Return whether it is a pose or twist at the start."""
         return self.units is None
 
+    @property
+    def moves_start(self) -> bool:
+        """Return whether it is of a joint or a constraint, with which the start changes."""
+        return not self.is_start and len(self.fields) > 1
+
 
 def slices_of(parameters: Iterable[Parameter]) -> dict[str, slice]:
     """Return the place of each parameter, by name, among the numbers of all in order."""
@@ -127,23 +132,19 @@ def _of_joints(model: Model) -> Iterator[Parameter]:
         for point, frame in POINTS.items():
             if point == "parent_point" and not at.name:
                 continue
-            units = np.zeros((3, 1, 12))
-            units[range(3), 0, range(9, 12)] = 1.0
-            yield _geometric(model, f"{prefix}{point}", "m", {f"{first}{frame}": units})
+            units = np.eye(3, 12, 9)  # of the last three numbers of a frame
+            yield _geometric(model, f"{prefix}{point}", f"{first}{frame}", units, "m")
         for name, unit in parameters_of(at.joint.rows).items():
-            yield _geometric(model, f"{prefix}{name}", unit, {f"{first}{name}": np.ones((1, 1, 1))})
+            yield _geometric(model, f"{prefix}{name}", f"{first}{name}", np.eye(1), unit)
 
 
 def _of_element(model: Model, element: Element, label: str, field: str) -> Iterator[Parameter]:
+    # The start must satisfy a constraint.
+    parameter = partial(_geometric, model) if element.kind.rows else _plain
     for name, shape in element.kind.shapes.items():
-        if name in _times(element):
-            continue
-        short, unit = element.short(name), _unit(element, name)
-        seeds = {f"{field}{name}": np.eye(prod(shape))[:, None]}
-        if element.kind.rows:  # a constraint: the start must satisfy it
-            yield _geometric(model, f"{label}.{short}", unit, seeds)
-        else:
-            yield _plain(f"{label}.{short}", f"{field}{name}", np.eye(prod(shape)), unit)
+        if name not in _times(element):
+            own, unit = f"{label}.{element.short(name)}", _unit(element, name)
+            yield parameter(own, f"{field}{name}", np.eye(prod(shape)), unit)
 
 
 def _times(element: Element) -> tuple[str, ...]:
@@ -179,15 +180,15 @@ def _symmetric_units() -> Array:
     return units.reshape(-1, 9)
 
 
-def _geometric(model: Model, name: str, unit: str, seeds: Seeds) -> Parameter:
+def _geometric(model: Model, name: str, field: str, units: Array, unit: str) -> Parameter:
     """Return a parameter of a joint or a constraint, with which the start changes."""
-    ((field, units),) = seeds.items()
+    seeds = {field: units[:, None]}
 
     def all_seeds(start: Start) -> Seeds:
         return seeds | _seeds_of(start, start.of_parameters(seeds))
 
     fields = field, *_start_fields(model, "pose0")
-    return Parameter(name, len(units), unit, fields, all_seeds, units[:, 0])
+    return Parameter(name, len(units), unit, fields, all_seeds, units)
 
 
 def _start_fields(model: Model, name: str) -> tuple[str, ...]:

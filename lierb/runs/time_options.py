@@ -185,7 +185,7 @@ def _checked_times(name: str, given: Any) -> Array:
 def _check_counts(save_every: Any, measure_every: Any) -> None:
     for name, every in (("save_every", save_every), ("measure_every", measure_every)):
         is_left_out = every is None and name == "save_every"
-        if not (is_left_out or (is_whole(every) and int(every or 0) >= 1)):
+        if not (is_left_out or (is_whole(every) and every >= 1)):
             raise TimeGridError(
                 f"{name}={brief(every)}; expected a whole number of steps, at least 1"
             )

@@ -10,14 +10,7 @@ from lierb.errors import ArgumentError, two_readings
 from lierb.kernels.numbers.vec import IDENTITY, ZERO3
 from lierb.model.joints.joint import Joint
 from lierb.model.joints.motions import TURNS, Motions, as_coordinates
-from lierb.support.arrays import (
-    Array,
-    Pose,
-    as_floats,
-    as_matrix,
-    as_rotations,
-    components,
-)
+from lierb.support.arrays import Array, Pose, as_floats, as_matrix, as_rotations, components
 
 
 def motions_of(joint: Joint) -> Motions | None:

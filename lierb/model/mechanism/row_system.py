@@ -7,38 +7,21 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from functools import cached_property, reduce
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from lierb.kernels.groups import se3
 from lierb.kernels.mechanics.constraints import position_error_squared, rotation_error_squared
-from lierb.kernels.mechanics.newton_euler import (
-    SE3,
-    BodyConstants,
-    Kinematics,
-    Parameters,
-    Pose,
-)
+from lierb.kernels.mechanics.newton_euler import SE3, BodyConstants, Kinematics, Parameters, Pose
 from lierb.kernels.mechanics.rows import Row
 from lierb.kernels.mechanics.scale import ROUNDING, bearings, length_of, rounding_of
 from lierb.kernels.numbers.arithmetic import maximum, plain, sqrt
-from lierb.kernels.numbers.vec import (
-    Vec,
-    add,
-    cross,
-    cross_add,
-    mat_vec,
-    neg,
-    norm,
-    sub,
-)
+from lierb.kernels.numbers.vec import Vec, add, cross, cross_add, mat_vec, neg, norm, sub
+from lierb.model.connections import Connection
 from lierb.model.mechanism.decomposition import DecomposedRows, Metric
+from lierb.model.mechanism.kinematics import TreeKinematics
 from lierb.support.arrays import Array, assembled
-
-if TYPE_CHECKING:
-    from lierb.model.connections import Connection
-    from lierb.model.mechanism.kinematics import TreeKinematics
 
 NEWTON_STEPS = 50  # starts that converge do so quadratically, in 4 to 6 steps
 CLOSED = 1e-13  # rad, or relative to the problem's length: residual due to rounding
