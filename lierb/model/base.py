@@ -30,7 +30,15 @@ from lierb.model.functions.observables import Observable
 from lierb.model.functions.states import ExtraStates
 from lierb.model.functions.wrenches import Force
 from lierb.model.joints.joint import Joint
-from lierb.model.numbers import Numbers, body_with, by_field, elements_with, joint_with
+from lierb.model.numbers import (
+    BODY,
+    JOINT,
+    Numbers,
+    body_with,
+    by_field,
+    elements_with,
+    joint_with,
+)
 from lierb.support.arrays import (
     Array,
     Pose,
@@ -96,11 +104,6 @@ class Model(Represented):
         body : function of a body, the prefix of its fields and its link's name.
         joint : function of a joint and the prefix of its fields.
         """
-        raise NotImplementedError
-
-    @property
-    def _arguments(self) -> dict[str, tuple[Array, int]]:
-        """Arrays that may be batched, by name, with the number of axes of one item."""
         raise NotImplementedError
 
     # ---- elements ----
@@ -224,11 +227,18 @@ class Model(Represented):
 
     @cached_property
     def _batched(self) -> dict[str, tuple[Array, int]]:
-        return {
-            name: (array, axes)
-            for name, (array, axes) in self._arguments.items()
-            if array.ndim > axes
-        }
+        """Arrays with a number for each member, by name, with the number of axes of one item."""
+        entries = {"gravity": (self.gravity, 1)}
+        for name, body in zip(self.link_names, self.bodies, strict=True):
+            entries |= {_joined(name, k): (getattr(body, k), n) for k, n in BODY.items()}
+        for at in self.joints:
+            entries |= {_joined(at.name, k): (getattr(at.joint, k), n) for k, n in JOINT.items()}
+        for number, element in enumerate(self.elements):
+            for k, shape in element.kind.shapes.items():
+                name = ".".join((*element.at, element.name, k))
+                name += f"[{number}]" if name in entries else ""
+                entries[name] = element.parameters[k], len(shape)
+        return {name: (array, axes) for name, (array, axes) in entries.items() if array.ndim > axes}
 
     def batch_size(self, **more: Any) -> int | None:
         """Return the number of members of the batch; None if no argument is batched."""
@@ -339,15 +349,22 @@ class Model(Represented):
         """Prefix of each element's fields in the inputs of the kernels."""
         return tuple(f"{self.element_prefix}{i}." for i in range(len(self.elements)))
 
-    @property
+    @cached_property
     def quantities(self) -> dict[str, Array]:
-        """Parameters of bodies and joints, by field."""
-        raise NotImplementedError
+        """Numbers of bodies and joints, and gravity, by field of the inputs."""
+        bodies = zip(self.fields, self.bodies, strict=True)
+        numbers = {f"{field}{k}": getattr(body, k) for field, body in bodies for k in BODY}
+        numbers["gravity"] = self.gravity
+        for field, at in zip(self.joint_fields, self.joints, strict=True):
+            numbers |= {f"{field}{k}": getattr(at.joint, k) for k in JOINT}
+        return numbers
 
-    @property
+    @cached_property
     def inputs(self) -> dict[str, Array]:
         """Input numbers of the kernels, by field."""
-        raise NotImplementedError
+        elements = zip(self.element_fields, self.elements, strict=True)
+        parameters = {f"{field}{k}": x for field, e in elements for k, x in e.parameters.items()}
+        return self.quantities | parameters
 
     @property
     def rows_by_name(self) -> tuple[tuple[str, Rows], ...]:
@@ -393,6 +410,10 @@ class Model(Represented):
         number : index of the only member to check. Default: check all.
         """
         raise NotImplementedError
+
+
+def _joined(owner: str, name: str) -> str:
+    return f"{owner}.{name}" if owner else name
 
 
 def parameters_of(body: Body, joint: Joint | None, gravity: Array) -> Parameters:

@@ -22,7 +22,6 @@ from lierb.kernels.mechanics.scale import ROUNDING, bearings, length_of, roundin
 from lierb.kernels.mechanics.support import Load
 from lierb.kernels.numbers.arithmetic import absolute, where
 from lierb.kernels.numbers.vec import ZERO3, Vec, add, diagonal, dot, norm
-from lierb.kernels.systems.layout import INPUTS
 from lierb.kernels.systems.plan import Plan
 from lierb.kernels.systems.system_of import plan_of
 from lierb.kernels.tracing.cpu import DEFAULT_LANES
@@ -154,26 +153,6 @@ class Problem(Model):
         )
         return (*self.joint.rows, *added)
 
-    @cached_property
-    def quantities(self) -> dict[str, Array]:
-        """Parameters of body, joint and gravity, by name, batched or not."""
-        owners = {"gravity": self, **dict.fromkeys(("mass", "inertia", "com"), self.body)}
-        given = (f.name for f in INPUTS.fields if f.name not in ("pose", "twist"))
-        return {name: getattr(owners.get(name, self.joint), name) for name in given}
-
-    @property
-    def _arguments(self) -> dict[str, tuple[Array, int]]:
-        entries = {
-            field.name: (self.quantities[field.name], len(field.shape))
-            for field in INPUTS.fields
-            if field.name in self.quantities
-        }
-        for element in self.elements:
-            for name, entry in element.batched().items():
-                same = sum(known.partition("[")[0] == name for known in entries)
-                entries[f"{name}[{same}]" if same else name] = entry
-        return entries
-
     # ---- interface of a model --------------------------------------------------------------------
 
     default_cspace = "SE3"
@@ -192,14 +171,9 @@ class Problem(Model):
     def bodies(self) -> tuple[Body, ...]:
         return (self.body,)
 
-    @property
+    @cached_property
     def inputs(self) -> dict[str, Array]:
-        parameters = {
-            f"{field}{name}": element.parameters[name]
-            for field, element in zip(self.element_fields, self.elements, strict=True)
-            for name in element.kind.shapes
-        }
-        return {**self.quantities, **parameters, "pose": CLOSED_POSE}
+        return {**super().inputs, "pose": CLOSED_POSE}
 
     @property
     def rows_by_name(self) -> tuple[tuple[str, Rows], ...]:

@@ -151,7 +151,7 @@ def _have_equal_joints(a: Model, b: Model) -> bool:
         and all(
             np.array_equal(array, b.quantities[name])
             for name, array in a.quantities.items()
-            if name != "gravity" and not name.startswith("element")
+            if name != "gravity"
         )
         and len(constraints[0]) == len(constraints[1])
         and all(map(_is_same, *constraints))

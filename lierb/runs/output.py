@@ -153,8 +153,7 @@ class Output:
 
     def starts(self, first: int, stop: int) -> Array:
         """Return 1 for each trajectory whose start satisfies the joint, else 0."""
-        starts: Array = self.summary[SUMMARY.index("starts"), first:stop]
-        return starts
+        return self.summary[SUMMARY.index("starts"), first:stop]
 
     def collect_exceptions(self, chunk: Chunk, is_last: bool) -> None:
         """Collect the exceptions of a call of the driver, and free their memory."""

@@ -18,7 +18,7 @@ from lierb.model.mechanism.mechanism import Mechanism
 from lierb.model.problem import Problem
 from lierb.runs.parameters import Parameter
 from lierb.runs.start_directions import Seeds, Start, carried
-from lierb.runs.starts import arrays_of, at_rest
+from lierb.runs.starts import start_of
 from lierb.support.arrays import Array, Which, assembled, pose_matrix
 
 Changes = Mapping[str, Array]  # by parameter: (k,), or (n, k) for each trajectory
@@ -48,14 +48,11 @@ class Varied(NamedTuple):
 
 def with_start(model: Model, pose0: Any, twist0: Any) -> Varied:
     """Return a model with its validated start, as arrays that stay as they are."""
-    given = model.default_pose() if pose0 is None else pose0
-    if given is None:
+    poses, twists = start_of(model, pose0, twist0)
+    if poses is None:
         (at,) = model.joints  # a mechanism has poses
         assert at.joint is not None
         poses = dict.fromkeys(model.link_names, at.joint.closed_pose)
-    else:
-        poses = arrays_of(model, "pose0", given)
-    twists = arrays_of(model, "twist0", at_rest(model, pose0) if twist0 is None else twist0)
     copies = ({k: np.array(x) for k, x in each.items()} for each in (poses, twists))
     return Varied(model, *copies)
 

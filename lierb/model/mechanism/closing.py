@@ -161,7 +161,8 @@ def _closed(part: Part, t0: float) -> tuple[list[Array], bool]:
         raise PoseError(_no_convergence(last.system, last.states, last.off, member, label))
     for s in last.states:
         for member in wrong_way(s, last.system.count)[:1].tolist():
-            raise PoseError(reversed_joint(part.mechanism, s.at, part.label("pose", member)))
+            name = name_of(part.mechanism, s.at)
+            raise PoseError(reversed_joint(part.label("pose", member), name))
     return last.arrays(part), bool(not last.was_closed.all())
 
 

@@ -10,7 +10,7 @@ from typing import Any
 import numba
 import numpy as np
 
-from lierb.errors import ArgumentError, brief, require_name, unknown_name
+from lierb.errors import ArgumentError, require_name
 from lierb.kernels.mechanics.rows import FIXED
 from lierb.kernels.mechanics.subgroup import Slots, slots_of
 from lierb.kernels.mechanics.tree import FREE, GROUND, MASSLESS, NONE, Connection, Node
@@ -32,13 +32,8 @@ UNROLLED_NODES = 7  # with more, loops over the nodes are as fast as unrolled co
 def cspaces_of(mechanism: Tree, cspace: CSpace) -> tuple[str, ...]:
     """Return the c-space of each link. Raises ArgumentError for an invalid name or body."""
     if isinstance(cspace, Mapping):
-        for name in cspace:
-            if name not in mechanism.names:
-                raise unknown_name("cspace", str(name), mechanism.names)
-        lacking = [name for name in mechanism.names if name not in cspace]
-        if lacking:
-            raise ArgumentError(f"cspace={brief(dict(cspace))} lacks {', '.join(lacking)}")
-        spaces = tuple(cspace[name] for name in mechanism.names)
+        given = mechanism.by_link("cspace", cspace)
+        spaces = tuple(given[name] for name in mechanism.names)
         for name in spaces:
             require_name("cspace of a link", name, CSPACES[1:])
     else:

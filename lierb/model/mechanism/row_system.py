@@ -200,11 +200,11 @@ def wrong_way(s: ConnectionState, count: int) -> Any:
     return np.flatnonzero(against)
 
 
-def reversed_joint(mechanism: TreeKinematics, at: Connection, label: str) -> str:
-    """Message for a joint that is half a turn off."""
+def reversed_joint(label: str, name: str, turned: str = "a link") -> str:
+    """Message for a joint that is half a turn off.   turned : what can be turned."""
     return (
-        f"{label} holds {name_of(mechanism, at)} the wrong way round, half a turn off, which no "
-        "row sees; turn a link or one of the joint's frames by 180°"
+        f"{label} holds {name} the wrong way round, half a turn off, which no row sees; turn "
+        f"{turned} or one of the joint's frames by 180°"
     )
 
 

@@ -23,12 +23,9 @@ from lierb.model.functions.observables import Observable
 from lierb.model.functions.states import ExtraStates
 from lierb.model.functions.wrenches import Force
 from lierb.model.mechanism.links import GROUND, Link, Loop, Site
-from lierb.model.numbers import labelled
-from lierb.support.arrays import Array, as_numbers
+from lierb.model.numbers import BODY, JOINT, labelled
+from lierb.support.arrays import as_numbers
 from lierb.support.representations import Lines, counted, quantity
-
-BODY = {"mass": 0, "inertia": 2, "com": 1}  # number of axes of an item, by name of the array
-JOINT = {"ground_frame": 2, "body_frame": 2, "pitch": 0, "length": 0}
 
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
@@ -180,18 +177,6 @@ class Tree(Model):
             raise unknown_name("link", name, self.names)
         return self.links[self.numbers[name]]
 
-    @cached_property
-    def quantities(self) -> dict[str, Array]:
-        """Numbers of the mechanism, by the fields of `tree_inputs.inputs_of` of the kernels."""
-        numbers: dict[str, Array] = {"gravity": self.gravity}
-        for i, link in enumerate(self.links):
-            numbers |= {f"{i}.{name}": getattr(link.body, name) for name in BODY}
-        for field, each in zip(self.joint_fields, self.links_and_loops, strict=True):
-            numbers |= {f"{field}{name}": getattr(each.joint, name) for name in JOINT}
-        for field, element in zip(self.element_fields, self.elements, strict=True):
-            numbers |= {f"{field}{name}": x for name, x in element.parameters.items()}
-        return numbers
-
     # ---- connections and elements ----------------------------------------------------------------
 
     @cached_property
@@ -291,10 +276,6 @@ class Tree(Model):
     def bodies(self) -> tuple[Body, ...]:
         return tuple(link.body for link in self.links)
 
-    @property
-    def inputs(self) -> dict[str, Array]:
-        return self.quantities
-
     @cached_property
     def rows_by_name(self) -> tuple[tuple[str, Rows], ...]:
         places = zip(labelled(self), self.places, strict=True)
@@ -335,18 +316,6 @@ class Tree(Model):
         ]
         of_loops = zip(self.loops, joints[len(links) :], strict=True)
         return links, [replace(x, joint=of_loop) for x, of_loop in of_loops]
-
-    @property
-    def _arguments(self) -> dict[str, tuple[Array, int]]:
-        entries: dict[str, tuple[Array, int]] = {"gravity": (self.gravity, 1)}
-        for link in self.links:
-            entries |= {f"{link.name}.{k}": (getattr(link.body, k), n) for k, n in BODY.items()}
-        for each in self.links_and_loops:
-            entries |= {f"{each.name}.{k}": (getattr(each.joint, k), n) for k, n in JOINT.items()}
-        for number, element in enumerate(self.elements):
-            for name, entry in element.batched().items():
-                entries[f"{'.'.join(element.at)}.{name}[{number}]"] = entry
-        return entries
 
     def _representation(self) -> tuple[str, Lines]:
         rows = [
