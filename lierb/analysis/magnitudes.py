@@ -10,8 +10,9 @@ from lierb.kernels.mechanics.newton_euler import SE3
 from lierb.kernels.mechanics.scale import length_of
 from lierb.kernels.numbers.arithmetic import plain
 from lierb.kernels.numbers.vec import dot, mat_vec_add, norm
-from lierb.model.base import Model, rigid_of
+from lierb.model.base import Model
 from lierb.model.mechanism.mechanism import Mechanism
+from lierb.model.numbers import rigid_of
 from lierb.model.problem import Problem
 from lierb.support.arrays import Array, components, pose_components
 

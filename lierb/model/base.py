@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, ClassVar, Self
@@ -14,8 +14,6 @@ from lierb.errors import LierbError
 from lierb.kernels.mechanics import elements as kinds
 from lierb.kernels.mechanics.newton_euler import BodyConstants, Parameters
 from lierb.kernels.mechanics.rows import Rows
-from lierb.kernels.mechanics.spatial import Rigid
-from lierb.kernels.numbers.vec import IDENTITY, ZERO3, scale
 from lierb.kernels.systems.plan import AnyPlan
 from lierb.model.acting import ELEMENTS, all_of, bind, shown_element
 from lierb.model.bodies.body import Body
@@ -29,10 +27,9 @@ from lierb.model.functions.events import Event
 from lierb.model.functions.observables import Observable
 from lierb.model.functions.states import ExtraStates
 from lierb.model.functions.wrenches import Force
-from lierb.model.joints.joint import Joint
+from lierb.model.joints.joint import JOINT, Joint
 from lierb.model.numbers import (
     BODY,
-    JOINT,
     Numbers,
     body_with,
     by_field,
@@ -41,13 +38,10 @@ from lierb.model.numbers import (
 )
 from lierb.support.arrays import (
     Array,
-    Pose,
     Which,
     batch_size,
-    components,
     items_at,
     member_of,
-    pose_components,
 )
 from lierb.support.representations import Represented
 
@@ -414,34 +408,3 @@ class Model(Represented):
 
 def _joined(owner: str, name: str) -> str:
     return f"{owner}.{name}" if owner else name
-
-
-def parameters_of(body: Body, joint: Joint | None, gravity: Array) -> Parameters:
-    """Return the parameters of a body for formulas; without a joint, its frame is the body's."""
-    own: Pose = (IDENTITY, ZERO3)
-    return Parameters(
-        mass=body.mass,
-        inertia=components(body.inertia, 2),
-        com=components(body.com),
-        gravity=components(gravity),
-        ground=own if joint is None else pose_components(joint.ground_frame),
-        body=own if joint is None else pose_components(joint.body_frame),
-        pitch=np.float64(0.0) if joint is None else joint.pitch,
-        length=np.float64(0.0) if joint is None else joint.length,
-    )
-
-
-def rigid_of(body: Body) -> Rigid:
-    """Return the mass, first moment and inertia of a body, one array per component."""
-    moment = scale(body.mass, components(body.com))
-    return Rigid(body.mass, moment, components(body.inertia, 2))
-
-
-def numbers_of(elements: Sequence[Element]) -> list[Array]:
-    """Return the parameters of elements, one array per component."""
-    return [
-        x
-        for element in elements
-        for name, shape in element.kind.shapes.items()
-        for x in components(element.parameters[name], len(shape))
-    ]

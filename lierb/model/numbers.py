@@ -1,8 +1,8 @@
-"""Names of a model's numbers, and its bodies, joints and elements with other numbers."""
+"""Names of a model's numbers; its parts with other numbers, and their numbers for formulas."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -11,15 +11,26 @@ import numpy as np
 from lierb.errors import ArgumentError, LierbError, brief, unknown_name
 from lierb.kernels.functions.shapes import Shape
 from lierb.kernels.mechanics.elements import EVERY, INITIAL, UserController
-from lierb.kernels.mechanics.rows import parameters_of
+from lierb.kernels.mechanics.newton_euler import Parameters
+from lierb.kernels.mechanics.rows import parameters_of as parameters_of_rows
+from lierb.kernels.mechanics.spatial import Rigid
+from lierb.kernels.numbers.vec import IDENTITY, ZERO3, scale
 from lierb.kernels.systems.layout import INPUTS
 from lierb.model.acting import ELEMENTS
 from lierb.model.bodies.body import Body
 from lierb.model.forces.built_in import BuiltIn
 from lierb.model.functions.elements import Element
 from lierb.model.functions.states import ExtraStates
-from lierb.model.joints.joint import Joint
-from lierb.support.arrays import Array, as_numbers, as_poses, as_positive
+from lierb.model.joints.joint import JOINT, Joint
+from lierb.support.arrays import (
+    Array,
+    Pose,
+    as_numbers,
+    as_poses,
+    as_positive,
+    components,
+    pose_components,
+)
 
 Numbers = Mapping[str, Array]  # by field of `Model.inputs`
 POINTS = {  # points of a joint: field of the frame of which each is the origin
@@ -28,7 +39,6 @@ POINTS = {  # points of a joint: field of the frame of which each is the origin
     "parent_point": "ground_frame",
 }
 BODY = {"mass": 0, "inertia": 2, "com": 1}  # number of axes of an item, by name of the array
-JOINT = {"ground_frame": 2, "body_frame": 2, "pitch": 0, "length": 0}
 FRAMES = ("ground_frame", "body_frame")
 INERTIA: tuple[Shape, ...] = (3,), (3, 3)
 
@@ -62,7 +72,7 @@ def places_of(model: Any) -> dict[str, Place]:
             if at.name or point != "parent_point":
                 place = Place(f"{field}{frame}", ((3,),), "m", "point", binds=True)
                 places[f"{prefix}{point}"] = place
-        for name, unit in parameters_of(at.joint.rows).items():
+        for name, unit in parameters_of_rows(at.joint.rows).items():
             places[f"{prefix}{name}"] = Place(f"{field}{name}", ((),), unit, binds=True)
         for frame in FRAMES:
             places[f"{prefix}{frame}"] = Place(f"{field}{frame}", ((4, 4),), kind="frame")
@@ -178,3 +188,37 @@ def _element(element: Element, label: str, field: str, numbers: Numbers) -> Elem
         return replace(element, parameters=element.parameters | changed).checked()
     except LierbError as error:
         raise type(error)(f"{label}: {error}") from None
+
+
+# ---- numbers as formulas take them --------------------------------------------------------------
+
+
+def parameters_of(body: Body, joint: Joint | None, gravity: Array) -> Parameters:
+    """Return the parameters of a body for formulas; without a joint, its frame is the body's."""
+    own: Pose = (IDENTITY, ZERO3)
+    return Parameters(
+        mass=body.mass,
+        inertia=components(body.inertia, 2),
+        com=components(body.com),
+        gravity=components(gravity),
+        ground=own if joint is None else pose_components(joint.ground_frame),
+        body=own if joint is None else pose_components(joint.body_frame),
+        pitch=np.float64(0.0) if joint is None else joint.pitch,
+        length=np.float64(0.0) if joint is None else joint.length,
+    )
+
+
+def rigid_of(body: Body) -> Rigid:
+    """Return the mass, first moment and inertia of a body, one array per component."""
+    moment = scale(body.mass, components(body.com))
+    return Rigid(body.mass, moment, components(body.inertia, 2))
+
+
+def numbers_of(elements: Sequence[Element]) -> list[Array]:
+    """Return the parameters of elements, one array per component."""
+    return [
+        x
+        for element in elements
+        for name, shape in element.kind.shapes.items()
+        for x in components(element.parameters[name], len(shape))
+    ]

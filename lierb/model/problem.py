@@ -26,7 +26,7 @@ from lierb.kernels.systems.plan import Plan
 from lierb.kernels.systems.system_of import plan_of
 from lierb.kernels.tracing.cpu import DEFAULT_LANES
 from lierb.model.acting import on_one_body, require, unfit_place, unfit_rate
-from lierb.model.base import Model, OfBody, OfJoint, numbers_of, parameters_of
+from lierb.model.base import Model, OfBody, OfJoint
 from lierb.model.bodies.body import Body
 from lierb.model.connections import NOWHERE, Connection
 from lierb.model.formulation import Formulation, formulation_of_body
@@ -42,6 +42,7 @@ from lierb.model.mechanism.links import Link
 from lierb.model.mechanism.mechanism import Mechanism
 from lierb.model.mechanism.row_system import CLOSED, LEAST_GYRATION, NEWTON_STEPS
 from lierb.model.mechanism.start_checks import violation_of_body
+from lierb.model.numbers import numbers_of, parameters_of
 from lierb.support.arrays import (
     Array,
     Pose,

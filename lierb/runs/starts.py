@@ -97,12 +97,10 @@ def start_of(model: Model, pose0: Any, twist0: Any) -> tuple[ByLink | None, ByLi
 
 def arrays_of(model: Model, argument: str, given: Any) -> ByLink:
     """Validate the poses (argument pose0) or twists of all links; return them as arrays."""
-    values, is_pose = model.by_link(argument, given), argument.endswith("pose0")
-    if is_pose and continuation_of(given) is not None:  # the end of a run, which may have drifted
+    values = model.by_link(argument, given)
+    labels = {link: model.label(argument, link) for link in model.link_names}
+    if not argument.endswith("pose0"):
+        return {k: as_numbers(label, values[k], (6,), copy=None) for k, label in labels.items()}
+    if continuation_of(given) is not None:  # the end of a run, which may have drifted
         return {link: np.asarray(each) for link, each in values.items()}
-    return {
-        link: as_poses(model.label(argument, link), values[link], copy=None)
-        if is_pose
-        else as_numbers(model.label(argument, link), values[link], (6,), copy=None)
-        for link in model.link_names
-    }
+    return {link: as_poses(label, values[link], copy=None) for link, label in labels.items()}

@@ -17,13 +17,13 @@ from lierb.kernels.groups import se3
 from lierb.kernels.mechanics import elements as kinds
 from lierb.kernels.mechanics.newton_euler import SE3, BodyConstants, Parameters
 from lierb.kernels.numbers.vec import ZERO6, Vec, add, sub
-from lierb.model.base import numbers_of, parameters_of
 from lierb.model.connections import NOWHERE, Connection
 from lierb.model.joints.coordinates import is_pose, is_rigid, motions_of, relative_of
-from lierb.model.joints.joint import Joint
+from lierb.model.joints.joint import Joint, Sizes
 from lierb.model.joints.motions import as_coordinates
 from lierb.model.mechanism.links import ByLink
 from lierb.model.mechanism.tree import Tree
+from lierb.model.numbers import numbers_of, parameters_of
 from lierb.support.arrays import (
     Array,
     Pose,
@@ -164,7 +164,7 @@ class TreeKinematics(Tree):
         """
         given = self.by_link("coordinates", coordinates, is_whole=False)
         poses: dict[int, Pose] = {}
-        sizes = {}
+        sizes: Sizes = {}
         for i in self.order:
             link, joint = self.links[i], self.links[i].joint
             argument = f"coordinates[{link.name!r}]"

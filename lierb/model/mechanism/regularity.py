@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from lierb.errors import ArgumentError
-from lierb.model.base import rigid_of
 from lierb.model.joints.coordinates import motions_of
 from lierb.model.mechanism.kinematics import TreeKinematics
+from lierb.model.numbers import rigid_of
 from lierb.support.arrays import components
 
 LEAST = 1e-9  # smallest eigenvalue of a regular mass matrix with ones on its diagonal

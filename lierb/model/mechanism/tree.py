@@ -22,8 +22,9 @@ from lierb.model.functions.events import Event
 from lierb.model.functions.observables import Observable
 from lierb.model.functions.states import ExtraStates
 from lierb.model.functions.wrenches import Force
+from lierb.model.joints.joint import JOINT
 from lierb.model.mechanism.links import GROUND, Link, Loop, Site
-from lierb.model.numbers import BODY, JOINT, labelled
+from lierb.model.numbers import BODY, labelled
 from lierb.support.arrays import as_numbers
 from lierb.support.representations import Lines, counted, quantity
 
