@@ -288,11 +288,6 @@ class Model(Represented):
         return bool(self.events or has_states or self.controllers) or self.has_jumps
 
     @property
-    def counters(self) -> tuple[ExtraStates, ...]:
-        """Extra states that count turns."""
-        return tuple(each for each in self.states if isinstance(each.kind, kinds.TurnCounter))
-
-    @property
     def described_elements(self) -> dict[str, tuple[Element, ...]]:
         """Elements by label, for `description`."""
         given = {label: getattr(self, label) for label in ELEMENTS}

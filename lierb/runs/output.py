@@ -85,9 +85,8 @@ class Output:
     @cached_property
     def arrays(self) -> dict[str, Array]:
         """Arrays of the job record."""
-        states = {
-            field.name: a for field, a in zip(POSE_AND_TWIST.fields, self.states, strict=True)
-        }
+        fields = (field.name for field in POSE_AND_TWIST.fields)
+        states = dict(zip(fields, self.states, strict=True))
         names = (
             "summary", "history", "multipliers", "reactions", "ends", "derivatives",
             "end_derivatives",

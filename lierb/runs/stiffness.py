@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lierb.errors import StiffStepWarning
-from lierb.kernels.mechanics.elements import Element
+from lierb.kernels.mechanics.elements import Element, TurnCounter
 from lierb.kernels.mechanics.newton_euler import BodyConstants, Motion, Parameters, frames_of
 from lierb.kernels.numbers.arithmetic import plain
 from lierb.kernels.numbers.vec import IDENTITY, UNIT, ZERO3, scale
@@ -122,8 +122,9 @@ class _OwnForces:
     @classmethod
     def of(cls, problem: Model) -> _OwnForces:
         forces = [f for f in problem.forces if _is_known(f.kind) or f.kind.rows]
+        counters = [each for each in problem.states if isinstance(each.kind, TurnCounter)]
         mechanism = as_mechanism(
-            problem, forces=forces, constraints=problem.constraints, states=problem.counters
+            problem, forces=forces, constraints=problem.constraints, states=counters
         )
         if not isinstance(problem, Problem):
             return cls(mechanism, False, False)
