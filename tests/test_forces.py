@@ -597,6 +597,8 @@ def test_problem_takes_forces_only():
         lierb.Problem(box(), held, forces=odd_wrench)
     with pytest.raises(ArgumentError, match=r"forces\[1\] must be a force made by lierb, got 3"):
         lierb.Problem(box(), held, forces=[odd_wrench(), 3])
+    with pytest.raises(ArgumentError, match=r"forces\[0\] must be a force made by lierb, got 3"):
+        lierb.Mechanism(lierb.Link("held", box(), held), forces=[3])
 
 
 def test_parameters_of_forces_set_the_number_of_bodies():

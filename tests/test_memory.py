@@ -2,6 +2,7 @@
 
 import re
 import sys
+from types import SimpleNamespace
 
 import numpy as np
 import pyarrow as pa
@@ -241,12 +242,15 @@ def test_sizes_are_told_in_units_that_are_read(size, told):
 
 def test_events_beyond_memory_are_told(monkeypatch):
     """Nobody knows before how many there will be: a run stops once they have no room."""
-    found = lanes.Events([], 20)
+    room = np.zeros((101, 20))  # the number of events, then these
+    run = SimpleNamespace(_events=[], _workspaces=[{"events": room}])
     monkeypatch.setattr(memory, "ALWAYS", 100_000)
     monkeypatch.setattr(memory, "available", lambda: 100_000)
-    found.add(np.zeros((100, 20)))
+    room[0, 0] = 100
+    lanes.LaneRun._take_events(run)
+    room[0, 0] = 100
     with pytest.raises(lierb.errors.MemoryLimitError, match="events so far takes 128 kB"):
-        found.add(np.zeros((100, 20)))
+        lanes.LaneRun._take_events(run)
 
 
 # ---- where results lie -------------------------------------------------------------------------

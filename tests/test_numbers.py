@@ -33,6 +33,16 @@ def rates(model):
     return np.concatenate([result.end["twist0"][name] for name in model.names], axis=-1)
 
 
+def test_a_four_by_four_number_of_a_function_is_no_pose():
+    @lierb.wrench(gains=np.eye(4))
+    def steered(t, R, r, omega, v, params):
+        return params.gains[0, :3], params.gains[1, :3]
+
+    body = lierb.Problem(ROD, lierb.joints.free(), forces=steered())
+    changed = body.with_({"steered.gains": 2.0 * np.ones((4, 4))})
+    np.testing.assert_array_equal(changed.forces[0].parameters["gains"], 2.0 * np.ones((4, 4)))
+
+
 @pytest.mark.slow
 def test_with_numbers_equals_the_model_built_so():
     rods = lierb.Body(MASSES, ROD.inertia[None])

@@ -228,7 +228,7 @@ def of_mechanism(mechanism, cspace, pose, twist):
     plan = mechanism_plan_of(
         mechanism, cspaces, UNSTABILISED, elements=mechanism.kinds, **described
     )
-    numbers = dict(mechanism.quantities)
+    numbers = dict(mechanism.inputs)
     for i, name in enumerate(mechanism.names):
         numbers |= {f"{i}.pose": pose[name], f"{i}.twist": twist[name]}
     return of_plan(plan, numbers)

@@ -9,7 +9,6 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-import pyarrow as pa
 
 from lierb.analysis.case import Case
 from lierb.analysis.comparison_orders import FLOOR
@@ -22,6 +21,7 @@ from lierb.model.base import Model
 from lierb.model.formulation import CSpace, described_cspace
 from lierb.results.columns import as_array
 from lierb.results.failures import Failures
+from lierb.results.result import Result
 from lierb.runs.options import Options
 from lierb.support.representations import counted
 
@@ -44,15 +44,6 @@ class Run:
         return f"{self.method.name}, {described_cspace(self.cspace)}, {control}"
 
 
-@dataclass(frozen=True)
-class Ran:
-    """Summary and ends of a run, and its CPU time, s; ∞ if not measured."""
-
-    summary: pa.Table
-    ends: Ends
-    seconds: float
-
-
 def compared(
     case: Case,
     runs: list[Run],
@@ -66,31 +57,31 @@ def compared(
     """
     rows, failures = [], []
     for done, run in enumerate(runs):
-        ran = _ran(case, run, partial(tell, done, run.label))
-        rows.append(_row(case, run, ran, exact, sizes))
-        if failed := Failures.of(ran.summary):
+        result, seconds = _ran(case, run, partial(tell, done, run.label))
+        rows.append(_row(case, run, result, seconds, exact, sizes))
+        if failed := Failures.of(result.summary):
             failures.append(f"{run.label}: {failed}")
     return rows, failures
 
 
-def _ran(case: Case, run: Run, tell: Callable[[float], None]) -> Ran:
-    """Run once to compile, then `repeats` times to measure the CPU time."""
+def _ran(case: Case, run: Run, tell: Callable[[float], None]) -> tuple[Result, float]:
+    """Run once to compile, then `repeats` times to measure the CPU time, s; ∞ if it is not."""
     assert run.options is not None
     parts = case.repeats + 1
     tell(0.0)
     result = case.integrated(
         run.options, progress=lambda done, total: tell(done / max(total, 1) / parts)
     )
-    seconds = case.timed(run.options, lambda k: tell((k + 1) / parts))
-    return Ran(result.summary, Ends.of(result.summary, result.links), seconds)
+    return result, case.timed(run.options, lambda k: tell((k + 1) / parts))
 
 
 def _row(
-    case: Case, run: Run, ran: Ran, reference: Reference, sizes: dict[str, float]
-) -> dict[str, Any]:
+    case: Case, run: Run, result: Result, seconds: float, reference: Reference,
+    sizes: dict[str, float],
+) -> dict[str, Any]:  # fmt: skip
     """Return a row of the table, by column."""
-    summary, ends, failed = ran.summary, ran.ends, ran.ends.failed
-    count = len(failed)
+    summary, ends = result.summary, Ends.of(result.summary, result.links)
+    failed, count = ends.failed, len(ends.failed)
     if len(reference.ends.failed) != count:
         raise ArgumentError(
             f"reference has {counted(len(reference.ends.failed), 'trajectory', 'trajectories')}; "
@@ -114,7 +105,7 @@ def _row(
         "rtol": run.rtol, "step": run.dt if run.dt is not None else _or_none(case.length / mean),
         "steps": _or_none(mean), "rejected": _or_none(refused),
         "evaluations": _or_none(_evaluations(run.method, run.rtol is not None, mean + refused)),
-        "cpu_time": _or_none(ran.seconds),
+        "cpu_time": _or_none(seconds),
         "trajectories": count, "failed": int(missing.sum()),
     }  # fmt: skip
     numbers = {f"error.{k}": v for k, v in errors.items()}

@@ -36,6 +36,7 @@ from lierb.model.mechanism.mechanism import Mechanism
 from lierb.model.problem import Problem
 from lierb.runs.options import Options
 from lierb.runs.provenance import machine
+from lierb.runs.time_options import checked_time
 from lierb.support.arrays import as_positive, is_whole
 from lierb.support.collected_warnings import warnings_collected
 from lierb.support.progress import check_progress, reporter
@@ -175,7 +176,9 @@ def convergence(
         exact = found_reference(case, steps, partial(tell, 0.0)) if given is None else given
         sizes = sizes_of(model, exact.ends, twist0)
         before = given is None
-        rows, failures = compared(case, runs, exact, sizes, partial(_tell_share, tell, before))
+        rows, failures = compared(
+            case, runs, exact, sizes, lambda done, what, part: tell(before + done + part, what)
+        )
         one_step = case.options(dt=case.length, method=several[0], cspace=spaces[0])
         overhead = case.timed(one_step) if steps else math.inf
     warn_of_runs(failures)
@@ -248,12 +251,9 @@ def _runs(
                     f"{method.name} has no embedded pair, which rtols needs; give dts= as well, "
                     f"or take {pairs}"
                 )
-    runs = [Run(*pair, dt, None) for pair in product(methods, cspaces) for dt in dts]
-    runs += [
-        Run(method, cspace, None, rtol)
-        for method, cspace in product(methods, cspaces) if method.error is not None
-        for rtol in rtols
-    ]  # fmt: skip
+    adaptive = [method for method in methods if method.error is not None]
+    runs = [Run(*each, None) for each in product(methods, cspaces, dts)]
+    runs += [Run(m, space, None, rtol) for m, space, rtol in product(adaptive, cspaces, rtols)]
     if len(runs) > MOST_RUNS:
         raise ArgumentError(f"these are {len(runs)} runs; expected {MOST_RUNS} at most")
     return runs
@@ -278,20 +278,11 @@ def _options(case: Case, run: Run, atol: Any) -> Options:
     given = {"method": run.method, "cspace": run.cspace}
     if run.dt is None:
         return case.options(rtol=run.rtol, atol=atol, **given)
-    length = _length(case.t0, case.t_end)
-    case.options(dt=length if 0.0 < length < math.inf else run.dt, **given)  # all but the step
+    start = checked_time("t0", case.t0, after=-math.inf)
+    length = checked_time("t_end", case.t_end, after=start) - start
+    case.options(dt=length if length < math.inf else run.dt, **given)  # all but the step
     _require_part(run.dt, length)
     return case.options(dt=run.dt, **given)
-
-
-def _length(t0: Any, t_end: Any) -> float:
-    """Return t_end − t0, s; NaN for invalid times, which `Options` rejects."""
-    if not all(is_whole(t) or isinstance(t, (float, np.floating)) for t in (t0, t_end)):
-        return math.nan
-    try:
-        return float(t_end) - float(t0)
-    except OverflowError:
-        return math.nan
 
 
 def _require_part(dt: float, length: float) -> None:
@@ -358,9 +349,3 @@ def _telling(progress: Progress, total: int) -> Iterator[Callable[[float, str], 
         yield tell
         if callable(progress):
             progress(total, total, "")
-
-
-def _tell_share(
-    tell: Callable[[float, str], None], before: int, done: int, what: str, share: float
-) -> None:
-    tell(before + done + share, what)

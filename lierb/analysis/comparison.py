@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
@@ -201,19 +201,19 @@ class Comparison(Represented):
             `out` is not a folder on this machine.
         """
         folder = folder_of(out)
-        contents: dict[str, Callable[[], bytes]] = {
-            f"{NAME}.parquet": lambda: _parquet(self.table),
-            f"{NAME}.md": lambda: self.to_markdown().encode(),
-            f"{NAME}.tex": lambda: self.to_latex().encode(),
+        contents = {
+            "parquet": _parquet(self.table),
+            "md": self.to_markdown().encode(),
+            "tex": self.to_latex().encode(),
         }
         if is_installed("plot"):
-            for kind in ("png", "svg"):
-                contents[f"{NAME}.{kind}"] = lambda kind=kind: _picture(self.figure(), kind)  # type: ignore[misc]
+            contents |= {kind: _picture(self.figure(), kind) for kind in ("png", "svg")}
         with naming(folder, "made", "choose another folder"):
             folder.mkdir(parents=True, exist_ok=True)
-        for name, content in contents.items():
-            write_whole(folder / name, content())
-        return [folder / name for name in contents]
+        files = {folder / f"{NAME}.{kind}": content for kind, content in contents.items()}
+        for path, content in files.items():
+            write_whole(path, content)
+        return [*files]
 
     # ---- at a prompt ----
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -60,14 +60,8 @@ class Observed:
 
     def as_json(self) -> dict[str, Any]:
         """Return the order as plain data."""
-        order = None
-        if self.order is not None and math.isfinite(self.order.slope):
-            order = {
-                "slope": self.order.slope, "lower_bound": self.order.lower_bound,
-                "steps": list(self.order.steps),
-            }  # fmt: skip
-        named = ("method", "cspace", "control", "quantity", "of_method", "runs", "verdict")
-        return {name: getattr(self, name) for name in named} | {"order": order}
+        has_slope = self.order is not None and math.isfinite(self.order.slope)
+        return asdict(self if has_slope else replace(self, order=None))
 
 
 def observed_orders(

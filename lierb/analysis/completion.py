@@ -225,8 +225,7 @@ def row_space(vectors: Array, tolerance: float = RANK_TOLERANCE) -> Array:
     if not len(vectors):
         return vectors
     _, sizes, rows = np.linalg.svd(vectors, full_matrices=False)
-    basis: Array = rows[sizes > tolerance * max(float(sizes[0]), 1.0)]
-    return basis
+    return rows[sizes > tolerance * max(float(sizes[0]), 1.0)]
 
 
 # ---- names -------------------------------------------------------------------------------------

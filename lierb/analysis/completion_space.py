@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from itertools import pairwise
 from types import ModuleType
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -27,11 +27,9 @@ from lierb.kernels.systems.plan import UNSTABILISED
 from lierb.kernels.systems.scheme import StagedScheme
 from lierb.model.connections import Connection
 from lierb.model.joints.coordinates import motions_of
+from lierb.model.mechanism.mechanism import Mechanism
 from lierb.model.mechanism.plan import mechanism_plan_of
 from lierb.support.arrays import Array, Pose, assembled, components, pose_components
-
-if TYPE_CHECKING:
-    from lierb.model.mechanism.mechanism import Mechanism
 
 Configurations = Array  # (n, nodes, 12): rotations row by row, positions
 Motions = dict[int, tuple[Pose, Vec]]  # frames, (n, 1), and twists, (n, freedoms), by node

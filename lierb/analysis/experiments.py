@@ -13,7 +13,7 @@ from lierb.analysis.quantities import QUATERNION, quantity_named
 from lierb.errors import ArgumentError, LierbError
 from lierb.model.base import Model
 from lierb.runs.variations import Varied
-from lierb.support.arrays import Array
+from lierb.support.arrays import Array, items_at
 
 
 def measured_experiments(model: Model, data: Any, sigma: Any) -> tuple[Measurements, int]:
@@ -102,6 +102,5 @@ def of_experiments(base: Varied, experiments: int, count: int) -> Varied:
 
 
 def _taken(array: Array, which: NDArray[np.int64], axes: int) -> Array:
-    if array.ndim == axes or len(array) == 1:
-        return np.broadcast_to(array, (len(which), *array.shape[-axes:])).copy()
-    return np.asarray(array[which])
+    items = items_at(array, which, axes)
+    return np.broadcast_to(items, (len(which), *array.shape[-axes:])).copy()

@@ -27,8 +27,33 @@ MOST_LISTED = 40  # numbers in the table of a description
 MISFIT, DEVIATIONS = 2.0, 5.0
 
 
+class Estimates(Represented):
+    """Estimates with a line for each number in their description."""
+
+    estimate: dict[str, Array]
+    labels: tuple[str, ...]
+
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        """Return the names of the parameters."""
+        return tuple(self.estimate)
+
+    def _lines(self, name: str, labels: list[str]) -> Iterator[tuple[str, str]]:
+        """Yield a line for each number of a parameter.   labels : of these numbers."""
+        raise NotImplementedError
+
+    def _numbers(self) -> Iterator[tuple[str, str]]:
+        """Yield the lines of the first numbers, and how many there are beyond."""
+        lines: list[tuple[str, str]] = []
+        for name in self.estimate:
+            lines += self._lines(name, [x for x in self.labels if x.partition("[")[0] == name])
+        yield from lines[:MOST_LISTED]
+        if len(lines) > MOST_LISTED:
+            yield "…", counted(len(lines) - MOST_LISTED, "more number")
+
+
 @dataclass(frozen=True, repr=False, eq=False)
-class Fit(Represented):
+class Fit(Estimates):
     """Estimate of parameters by `lierb.fit`, with its uncertainty.
 
     The covariance is that of linear theory for Gaussian noise: it holds near the estimate, and for
@@ -91,11 +116,6 @@ class Fit(Represented):
     converged: bool
     status: str
     evaluations: int
-
-    @property
-    def parameters(self) -> tuple[str, ...]:
-        """Return the names of the parameters."""
-        return tuple(self.estimate)
 
     @property
     def reduced_chi2(self) -> float:
@@ -208,27 +228,13 @@ class Fit(Represented):
         rows.append(("ended" if self.converged else FAILED, self.status))
         return title, rows
 
-    def _numbers(self) -> Iterator[tuple[str, str]]:
-        deviations = np.concatenate(
-            [np.ravel(self.standard_errors[name]) for name in self.estimate] or [np.zeros(0)]
-        )
-        names = [label for name in self.estimate for label in self._labels_of(name)]
-        values = [x for name in self.estimate for x in self._values_of(name)]
-        for label, value, deviation in list(zip(names, values, deviations, strict=True))[
-            :MOST_LISTED
-        ]:
-            yield label, f"{value} ± {deviation:.2g}"
-        if len(names) > MOST_LISTED:
-            yield "…", counted(len(names) - MOST_LISTED, "more number")
-
-    def _labels_of(self, name: str) -> list[str]:
-        return [label for label in self.labels if label.partition("[")[0] == name]
-
-    def _values_of(self, name: str) -> list[str]:
-        values = self.estimate[name]
+    def _lines(self, name: str, labels: list[str]) -> Iterator[tuple[str, str]]:
+        values = [f"{x:.7g}" for x in self.estimate[name].ravel()]
         if name.endswith("pose0"):  # a matrix, whose deviations are those of a change
-            return ["estimated"] * self.standard_errors[name].size
-        return [f"{x:.7g}" for x in values.ravel()]
+            values = ["estimated"] * len(labels)
+        deviations = self.standard_errors[name].ravel()
+        for label, value, deviation in zip(labels, values, deviations, strict=True):
+            yield label, f"{value} ± {deviation:.2g}"
 
 
 def is_misfit(reduced: Any, freedoms: Any) -> NDArray[np.bool_]:

@@ -23,13 +23,7 @@ from lierb.model.mechanism.mechanism import Mechanism
 from lierb.model.problem import Problem
 from lierb.runs.parameters import Parameter, chosen_parameters
 from lierb.runs.switches import warn_of_switches
-from lierb.runs.variations import (
-    Variation,
-    Varied,
-    fixed_directions,
-    with_directions,
-    with_start,
-)
+from lierb.runs.variations import Variation, Varied, fixed_directions, with_directions, with_start
 from lierb.support.arrays import Array, is_whole
 from lierb.support.collected_warnings import warnings_collected
 from lierb.support.extras import require
@@ -207,7 +201,9 @@ def _solved(variation: Variation, data: Measurements, runs: Runs, bounds: Any, m
         moved = Variation(task.varied(x), variation.parameters, variation.t0)
         task = Task(moved, data, runs, before.sizes)
         has_moved = np.any(np.abs(x - before.base) > MOVED * (np.abs(x) + before.scales))
-        begins_again = _has_a_path(variation) or len(task.told.null)
+        # Such a start depends on the steps towards it, not on the last numbers alone.
+        has_a_path = variation.has_rows and variation.moves_poses
+        begins_again = has_a_path or len(task.told.null)
         if not (begins_again and has_moved) or evaluations >= most:
             break
     return _report(task, solution, evaluations)
@@ -230,14 +226,6 @@ def _minimised(task: Task, bounds: Any, most: int) -> tuple[Array, Any]:
         (low, high), "trf", max_nfev=most, **TOLERANCES,
     )  # fmt: skip
     return x + scales * solution.x, solution
-
-
-def _has_a_path(variation: Variation) -> bool:
-    """Return whether the start depends on the steps towards it, not on the last numbers alone."""
-    return variation.has_rows and any(
-        p.name.endswith("pose0") or (not p.is_start and len(p.fields) > 1)
-        for p in variation.parameters
-    )
 
 
 def _report(task: Task, solution: Any, evaluations: int) -> Fit:

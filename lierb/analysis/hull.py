@@ -69,8 +69,7 @@ def _embedded(vectors: Array) -> Array:
 
 def _pure(elements: Array) -> Array:
     parts = elements.reshape(len(elements), -1, 8)
-    pure: Array = parts[..., PURE].reshape(len(elements), -1)
-    return pure
+    return parts[..., PURE].reshape(len(elements), -1)
 
 
 def _one(node: Node) -> Array:

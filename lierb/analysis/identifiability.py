@@ -122,7 +122,9 @@ def identified(jacobian: Array, sizes: Array) -> Identified:
     null = np.zeros((count - rank, count))
     first = count - int(is_felt.sum())
     null[range(first), np.flatnonzero(~is_felt)] = sizes[~is_felt]
-    together = _sparse(_complement(parts.rows[:rank, is_felt]))
+    # an orthonormal basis of the vectors that are orthogonal to the directions told
+    _, _, directions = np.linalg.svd(parts.rows[:rank, is_felt], full_matrices=True)
+    together = _sparse(directions[rank:])
     null[first:, is_felt] = together * parts.units[is_felt]
     is_known = is_felt.copy()
     is_known[is_felt] &= ~np.any(np.abs(together) > SHARE, axis=0)
@@ -140,12 +142,6 @@ def of_numbers(told: Identified | Decomposed, spread: Array, scale: Any) -> tupl
     deviations = np.sqrt(np.diagonal(covariance, axis1=-2, axis2=-1))
     is_open = np.any((spread != 0.0) & ~told.is_known[..., None, :], axis=-1)
     return covariance, np.where(is_open, np.inf, deviations)
-
-
-def _complement(rows: Array) -> Array:
-    """Return an orthonormal basis of the vectors that are orthogonal to orthonormal rows."""
-    _, _, all_rows = np.linalg.svd(rows, full_matrices=True)
-    return all_rows[len(rows) :]
 
 
 def _sparse(rows: Array) -> Array:

@@ -9,9 +9,10 @@ import numpy as np
 from lierb.kernels.mechanics.newton_euler import SE3
 from lierb.kernels.mechanics.scale import length_of
 from lierb.kernels.numbers.arithmetic import plain
-from lierb.kernels.numbers.vec import norm
+from lierb.kernels.numbers.vec import dot, mat_vec_add, norm
 from lierb.model.base import Model
 from lierb.model.mechanism.mechanism import Mechanism
+from lierb.model.numbers import rigid_of
 from lierb.model.problem import Problem
 from lierb.support.arrays import Array, components, pose_components
 
@@ -37,23 +38,18 @@ def _of_links(
     """Return the largest length of the links, and the sum of their energies without springs."""
     size, total = np.zeros(1), np.zeros(1)
     for link, at in zip(mechanism.links, mechanism.joints, strict=False):
-        pose, twist, body = poses[link.name], twists[link.name], link.body
-        parameters, omega, v = mechanism.parameters(at), twist[:, :3], twist[:, 3:]
-        length = length_of(parameters)
-        com = np.broadcast_to(body.com, v.shape)
-        inertia, mass = np.broadcast_to(body.inertia, (len(v), 3, 3)), body.mass
-        along = np.einsum("ni,ni->n", v, 0.5 * v + np.cross(omega, com))
-        kinetic = mass * along + 0.5 * np.einsum("ni,nij,nj->n", omega, inertia, omega)
-        place = pose[:, :3, 3] + np.einsum("nij,nj->ni", pose[:, :3, :3], com)
-        gravity = np.broadcast_to(mechanism.gravity, v.shape)
-        height = np.abs(np.einsum("ni,ni->n", gravity, place))
-        total = total + kinetic + mass * (height + np.linalg.norm(gravity, axis=1) * length)
-        size = np.maximum(size, length + np.linalg.norm(pose[:, :3, 3], axis=1))
+        pose, twist = pose_components(poses[link.name]), components(twists[link.name])
+        length, gravity = length_of(mechanism.parameters(at)), components(mechanism.gravity)
+        kinetic = 0.5 * dot(twist, rigid_of(link.body).momentum(twist))
+        place = mat_vec_add(pose[0], components(link.body.com), pose[1])
+        height = np.abs(dot(gravity, place))
+        total = total + kinetic + link.body.mass * (height + norm(gravity) * length)
+        size = np.maximum(size, length + norm(pose[1]))
     return size, total
 
 
 def _of_body(problem: Problem, poses: Array, twists: Array) -> tuple[Array, Array]:
-    parameters, body = problem.parameters(), problem.in_joint_axes(SE3)
+    parameters, body = problem.parameters(), problem.constants()
     length = length_of(parameters)
     placed, velocity = SE3.to_joint_axes(parameters, pose_components(poses), components(twists))
     motion = SE3.kinematics(body, placed, velocity).motion

@@ -10,15 +10,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lierb.analysis.experiments import flat_start, measured_experiments, of_experiments
-from lierb.analysis.fitting import (
-    chosen_and_guesses,
-    described_directions,
-    fit_runs,
-    require_whole,
-)
+from lierb.analysis.fitting import chosen_and_guesses, described_directions, fit_runs, require_whole
 from lierb.analysis.identifiability import Direction, decomposed, identified, of_numbers
 from lierb.analysis.many_fits_result import Fits
-from lierb.analysis.minimising import Minimisation, Minimised
+from lierb.analysis.minimising import Minimisation
 from lierb.analysis.side_by_side import Experiments, State
 from lierb.analysis.unknowns import Unknowns, guessed
 from lierb.api import checked_model
@@ -178,10 +173,11 @@ def _solved(experiments: Experiments, max_iterations: int, progress: Progress) -
     )
     minimisation = Minimisation(experiments, max_iterations)
     with reporter(progress, experiments.total, "fits") as report:
-        return _report(experiments, minimisation.run(most, report))
+        minimisation.run(most, report)
+    return _report(experiments, minimisation)
 
 
-def _report(experiments: Experiments, ends: Minimised) -> Fits:
+def _report(experiments: Experiments, ends: Minimisation) -> Fits:
     state, everyone = ends.state, np.arange(experiments.total)
     has_run = np.isfinite(state["chi2"])
     chi2 = np.where(has_run, state["chi2"], np.nan)

@@ -9,23 +9,20 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.compute as pc
 from numpy.typing import NDArray
 
-from lierb.analysis.fit_result import is_misfit
+from lierb.analysis.fit_result import Estimates, is_misfit
 from lierb.analysis.identifiability import Direction
 from lierb.lie import se3
 from lierb.model.mechanism.mechanism import Mechanism
 from lierb.model.problem import Problem
 from lierb.results.columns import numbers, texts, vectors
 from lierb.support.arrays import Array
-from lierb.support.representations import FAILED, Lines, Represented, counted
-
-MOST_LISTED = 40  # numbers in the table of a description
+from lierb.support.representations import FAILED, Lines, counted
 
 
 @dataclass(frozen=True, repr=False, eq=False)
-class Fits(Represented):
+class Fits(Estimates):
     """Estimates of many experiments by `lierb.fits`, with their uncertainties.
 
     Arrays have an axis of fits, (n, …). An axis of trajectories, (n, m, …), follows for starts of
@@ -85,11 +82,6 @@ class Fits(Represented):
     units: dict[str, str]
 
     @property
-    def parameters(self) -> tuple[str, ...]:
-        """Return the names of the parameters."""
-        return tuple(self.estimate)
-
-    @property
     def reduced_chi2(self) -> Array:
         """Return chi2 over `freedoms`, (n,), about 1 for noise of the given sigma."""
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -135,9 +127,9 @@ class Fits(Represented):
         """
         n = len(self.chi2)
         columns = {
-            "fit": numbers(np.arange(n)), "converged": _flags(self.converged),
+            "fit": numbers(np.arange(n)), "converged": pa.array(self.converged),
             "status": texts(self.status), "chi2": numbers(self.chi2),
-            "freedoms": numbers(self.freedoms), "misfit": _flags(self.misfit),
+            "freedoms": numbers(self.freedoms), "misfit": pa.array(self.misfit),
             "iterations": numbers(self.iterations), "not_told": numbers(self.not_told),
         }  # fmt: skip
         fields = [pa.field(name, column.type) for name, column in columns.items()]
@@ -180,18 +172,9 @@ class Fits(Represented):
         if len(some := np.flatnonzero(self.not_told)):
             first = "; ".join(each.sentence for each in self.unidentifiable)
             rows.append(("not told", f"in {counted(len(some), 'fit')}, in fit {some[0]}: {first}"))
-        return title, [*rows, *self._numbers()]
+        return title, [*rows, *(self._numbers() if good else ())]
 
-    def _numbers(self) -> Iterator[tuple[str, str]]:
-        if not self.converged.any():
-            return
-        lines = [line for name in self.estimate for line in self._lines(name)]
-        yield from lines[:MOST_LISTED]
-        if len(lines) > MOST_LISTED:
-            yield "…", counted(len(lines) - MOST_LISTED, "more number")
-
-    def _lines(self, name: str) -> Iterator[tuple[str, str]]:
-        labels = [label for label in self.labels if label.partition("[")[0] == name]
+    def _lines(self, name: str, labels: list[str]) -> Iterator[tuple[str, str]]:
         ratios, scatter = (np.ravel(each[name]) for each in (self.ratio, self.scatter))
         means = np.ravel(np.mean(self.estimate[name][self.converged], axis=0))
         for i, label in enumerate(labels):
@@ -204,7 +187,3 @@ def _spread(deviations: Array) -> Array:
     if len(deviations) < 2:
         return np.full(deviations.shape[1:], np.nan)
     return np.asarray(np.sqrt(np.sum(deviations**2, axis=0) / (len(deviations) - 1)))
-
-
-def _flags(values: NDArray[np.bool_]) -> pa.Array:
-    return pc.not_equal(numbers(values.astype(np.int8)), 0)

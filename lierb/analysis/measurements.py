@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import prod
@@ -113,7 +113,9 @@ def measurements(model: Model, data: Any, sigma: Any) -> Measurements:
         lengths = [part.shape[1] for part in parts]
         values = np.concatenate(parts, axis=1)
         columns.append(Measured(quantity, values, _sigma(name, sigma, quantity)))
-    _require_sigmas(sigma, names)
+    for name in sigma or ():
+        if name not in names:
+            raise unknown_name("sigma", name, names)
     counts = {column.values.shape[1] for column in columns}
     if len(counts) > 1:
         listed = ", ".join(f"{c.quantity.name} has {c.values.shape[1]}" for c in columns)
@@ -264,9 +266,3 @@ def _sigma(name: str, given: Any, quantity: Quantity) -> Array:
             f"{quantity.width} of them, {quantity.unit}"
         )
     return np.broadcast_to(sigma, quantity.width)
-
-
-def _require_sigmas(sigma: Any, names: Iterable[str]) -> None:
-    for name in sigma or ():
-        if name not in names:
-            raise unknown_name("sigma", name, names)

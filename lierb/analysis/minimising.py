@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,32 +29,6 @@ REASONS = {
 }
 
 
-@dataclass(frozen=True)
-class Minimised:
-    """Ends of the iterations.
-
-    state : of `Experiments.tried` at the estimates; chi2 is infinite if the run of a guess fails.
-    codes : of REASONS, [experiment].   iterations : number of runs after that of the guess.
-    """
-
-    state: State
-    codes: NDArray[np.int64]
-    iterations: NDArray[np.int64]
-
-    @property
-    def converged(self) -> NDArray[np.bool_]:
-        return np.isin(self.codes, (CONVERGED, UNCHANGED))
-
-    @property
-    def reasons(self) -> tuple[str, ...]:
-        texts = [REASONS.get(int(code), "") for code in self.codes]
-        details = self.state["reason"].tolist()
-        return tuple(
-            f"{text}: {detail}" if code == FAILED else text
-            for text, detail, code in zip(texts, details, self.codes, strict=True)
-        )
-
-
 class Minimisation:
     """State of the iterations of all experiments, and their ends."""
 
@@ -67,7 +40,22 @@ class Minimisation:
         self.iterations = np.full(total, -1)  # the run of the guess is number 0
         self.radius = np.full(total, FIRST_STEP)
 
-    def run(self, most: int, report: Callable[[int], None]) -> Minimised:
+    @property
+    def converged(self) -> NDArray[np.bool_]:
+        """Return True for experiments at a minimum, [experiment]."""
+        return np.isin(self.codes, (CONVERGED, UNCHANGED))
+
+    @property
+    def reasons(self) -> tuple[str, ...]:
+        """Return the reason why each iteration has ended."""
+        texts = [REASONS.get(int(code), "") for code in self.codes]
+        details = self.state["reason"].tolist()
+        return tuple(
+            f"{text}: {detail}" if code == FAILED else text
+            for text, detail, code in zip(texts, details, self.codes, strict=True)
+        )
+
+    def run(self, most: int, report: Callable[[int], None]) -> None:
         """Iterate until all experiments have ended.
 
         most : number of experiments that run at a time; others take the places of those that end.
@@ -81,7 +69,6 @@ class Minimisation:
             if going.any():
                 self._iterate(running[going], part_of(own, going), steps.part(going))
             report(int(np.count_nonzero(self.codes)))
-        return Minimised(self.state, self.codes, self.iterations)
 
     def _ends(self, running: Members, own: State, steps: Steps) -> NDArray[np.int64]:
         """Return the codes of experiments at their points."""

@@ -10,7 +10,6 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pyarrow as pa
@@ -25,9 +24,6 @@ from lierb.model.bodies.body import Body
 from lierb.model.problem import Problem
 from lierb.results.columns import numbers, repeated
 from lierb.support import extras
-
-if TYPE_CHECKING:
-    pass
 
 Progress = Callable[[int, int, str], object]
 

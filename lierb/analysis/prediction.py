@@ -22,10 +22,9 @@ from lierb.analysis.completion import Completion, OpenError, SingularError, grou
 from lierb.analysis.completion_space import Place, Space
 from lierb.errors import ArgumentError, PoseError, brief
 from lierb.kernels.mechanics.newton_euler import CSPACES
-from lierb.model.mechanism.links import Link
 from lierb.model.mechanism.mechanism import Mechanism
 from lierb.model.mechanism.row_system import name_of
-from lierb.model.problem import Problem
+from lierb.model.problem import Problem, as_mechanism
 from lierb.runs.options import check_names
 from lierb.support.arrays import Array, Pose, as_poses, pose_components
 
@@ -247,8 +246,7 @@ def _of_one_body(problem: Problem, pose0: Any, update: str) -> Predictions:
     pose = problem.joint.closed_pose if pose0 is None else as_poses("pose0", pose0)
     if pose.shape != (4, 4):
         raise ArgumentError(f"pose0 has shape {pose.shape}; predict takes one pose, (4, 4)")
-    link = Link("body", problem.body, problem.joint)
-    alone = Mechanism(link, gravity=problem.gravity, constraints=problem.constraints)
+    alone = as_mechanism(problem, gravity=problem.gravity, constraints=problem.constraints)
     predictions = Predictions()
     for cspace in _cspaces(alone)[1:]:
         space = Space(alone, cspace)

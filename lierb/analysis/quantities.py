@@ -16,11 +16,12 @@ import numpy as np
 from lierb.errors import ArgumentError, unknown_name
 from lierb.lie import Group, se3, so3
 from lierb.model.base import Model
+from lierb.model.joints.coordinates import motions_of
 from lierb.model.mechanism.mechanism import Mechanism
 from lierb.model.problem import Problem
 from lierb.results.result import Result
 from lierb.runs.parameters import POSE_UNITS, TWIST_UNITS, Parameter
-from lierb.support.arrays import Array
+from lierb.support.arrays import Array, components, pose_matrix
 
 ALIASES = {"R": "rotation", "C": "pose"}
 QUATERNION = "quaternion"  # values that are read as rotations
@@ -107,10 +108,8 @@ class OfGroup(Quantity):
         turned = rotations(result, self.link)
         if self.group is so3:
             return turned
-        poses = np.zeros((*turned.shape[:2], 4, 4))
-        poses[..., :3, :3], poses[..., 3, 3] = turned, 1.0
-        poses[..., :3, 3] = result[f"{self.link}position"]
-        return poses
+        position = np.asarray(result[f"{self.link}position"])
+        return pose_matrix((components(turned, 2), components(position)))
 
     def difference(self, first: Array, second: Array) -> Array:
         first, second = np.broadcast_arrays(first, second)
@@ -134,8 +133,7 @@ class Coordinates(Quantity):
     wrapped: tuple[bool, ...] = ()
 
     def values(self, result: Result) -> Array:
-        poses = _poses(result)
-        return self._by_joint("coordinates", result, poses)
+        return self._by_joint("coordinates", _poses(result))
 
     def difference(self, first: Array, second: Array) -> Array:
         apart = second - first
@@ -147,10 +145,10 @@ class Coordinates(Quantity):
         changes = {link: result.sensitivity(f"{link}pose", p.name) for link in poses}
         for k in range(p.size):
             twists = {link: change[..., k] for link, change in changes.items()}
-            columns.append(self._by_joint("velocities", result, twists, poses))
+            columns.append(self._by_joint("velocities", twists, poses))
         return np.stack(columns, -1)
 
-    def _by_joint(self, function: str, result: Result, *given: dict[str, Array]) -> Array:
+    def _by_joint(self, function: str, *given: dict[str, Array]) -> Array:
         """Call a function of the model on all rows at once; those of failed runs are NaN."""
         assert isinstance(self.model, (Problem, Mechanism))
         first = next(iter(given[-1].values()))
@@ -211,7 +209,8 @@ def _quantities(model: Model) -> Iterator[Quantity]:
         yield Quantity(f"{prefix}omega", (3,), "rad/s", twist, (0, 3))
         yield Quantity(f"{prefix}v", (3,), "m/s", twist, (3, 6))
         assert at.joint is not None
-        if names := _coordinate_names(at.joint):
+        if motions := motions_of(at.joint):
+            names = motions.names
             wrapped = tuple(name in WRAPPED for name in names)
             unit = ", ".join("m" if name[0] in "ds" else "rad" for name in names)
             yield Coordinates(
@@ -229,13 +228,6 @@ def _quantities(model: Model) -> Iterator[Quantity]:
     for name in model.joint_names or ("",):
         label = f"{name}.reaction" if name else "reaction"
         yield Quantity(label, (6,), "N m, N m, N m, N, N, N", label)
-
-
-def _coordinate_names(joint: Any) -> tuple[str, ...]:
-    try:
-        return tuple(joint.coordinate_names)
-    except ArgumentError:  # its motions are neither a group nor a product
-        return ()
 
 
 def require_derivatives(quantity: Quantity, parameters: tuple[Parameter, ...]) -> None:

@@ -21,7 +21,7 @@ from lierb.results.failures import Failures, has_failed
 from lierb.results.result import Result
 from lierb.runs.options import Options
 from lierb.runs.starts import arrays_of
-from lierb.support.arrays import Array
+from lierb.support.arrays import Array, components, pose_matrix
 from lierb.support.representations import counted
 
 ERRORS = {"rotation": "rad", "position": "m", "omega": "rad/s", "v": "m/s"}
@@ -49,65 +49,44 @@ def rounding(steps: Any) -> Any:
 class Ends:
     """States at t_end.
 
-    states : by link ("" for a single body): rotation (n, 3, 3), position, omega and v (n, 3).
-    failed : (n,), True for trajectories without a state at t_end.
+    poses : (n, 4, 4), and twists : (n, 6), by link.   failed : trajectories that did not get there.
     """
 
-    states: dict[str, dict[str, Array]]
+    poses: dict[str, Array]
+    twists: dict[str, Array]
     failed: NDArray[np.bool_]
 
     @classmethod
     def of(cls, summary: pa.Table, links: tuple[str, ...]) -> Ends:
         """Return the ends in a result's summary."""
-        states = {
-            link: {
-                name: as_array(summary[f"{link}.{name}" if link else name]).reshape(-1, *shape)
-                for name, shape in (
-                    ("rotation", (3, 3)), ("position", (3,)), ("omega", (3,)), ("v", (3,)),
-                )
-            }
-            for link in links or ("",)
-        }  # fmt: skip
-        return cls(states, has_failed(summary))
+        poses, twists = {}, {}
+        for link in links or ("",):
+            prefix = f"{link}." if link else ""
+            rotation, position, omega, v = (as_array(summary[f"{prefix}{name}"]) for name in ERRORS)
+            poses[link] = pose_matrix((components(rotation), components(position)))
+            twists[link] = np.hstack((omega, v))
+        return cls(poses, twists, has_failed(summary))
 
     @classmethod
     def at(cls, model: Model, poses: Any, twists: Any) -> Ends:
         """Make the ends from poses and twists in the form of pose0 and twist0."""
-        placed, moving = (
-            arrays_of(model, f"reference: {argument}", given)
-            for argument, given in (("pose0", poses), ("twist0", twists))
-        )
-        states = {
-            link: {
-                "rotation": pose[..., :3, :3].reshape(-1, 3, 3),
-                "position": pose[..., :3, 3].reshape(-1, 3),
-                "omega": moving[link][..., :3].reshape(-1, 3),
-                "v": moving[link][..., 3:].reshape(-1, 3),
-            }
-            for link, pose in placed.items()
-        }
-        counts = {len(array) for state in states.values() for array in state.values()}
+        placed = arrays_of(model, "reference: pose0", poses)
+        moving = arrays_of(model, "reference: twist0", twists)
+        placed = {link: pose.reshape(-1, 4, 4) for link, pose in placed.items()}
+        moving = {link: twist.reshape(-1, 6) for link, twist in moving.items()}
+        counts = {len(array) for array in (*placed.values(), *moving.values())}
         if len(counts) > 1:  # arrays are not broadcast
             raise ArgumentError(
                 f"reference has poses and twists of {', '.join(map(str, sorted(counts)))} "
                 "trajectories; expected a pose and a twist for each"
             )
-        return cls(states, np.zeros(counts.pop(), dtype=bool))
+        return cls(placed, moving, np.zeros(counts.pop(), dtype=bool))
 
-    @property
-    def poses(self) -> dict[str, Array]:
-        """Return the poses, (n, 4, 4), by link."""
-        matrices = {}
-        for link, state in self.states.items():
-            matrices[link] = np.tile(np.eye(4), (len(state["position"]), 1, 1))
-            matrices[link][:, :3, :3] = state["rotation"]
-            matrices[link][:, :3, 3] = state["position"]
-        return matrices
-
-    @property
-    def twists(self) -> dict[str, Array]:
-        """Return the twists, (n, 6), by link."""
-        return {k: np.hstack((state["omega"], state["v"])) for k, state in self.states.items()}
+    def state_of(self, link: str) -> dict[str, Array]:
+        """Return the state of a link, by the names in ERRORS."""
+        pose, twist = self.poses[link], self.twists[link]
+        parts = pose[:, :3, :3], pose[:, :3, 3], twist[:, :3], twist[:, 3:]
+        return dict(zip(ERRORS, parts, strict=True))
 
     def errors(self, exact: Ends) -> dict[str, Array]:
         """Return the distances from other ends, (n,) by ERRORS; the largest over the links.
@@ -115,9 +94,10 @@ class Ends:
         NaN for trajectories that have failed in either.
         """
         by_name = {}
+        pairs = [(self.state_of(link), exact.state_of(link)) for link in self.poses]
         for name in ERRORS:
             distance = _angle if name == "rotation" else _distance
-            each = [distance(s[name], exact.states[link][name]) for link, s in self.states.items()]
+            each = [distance(own[name], other[name]) for own, other in pairs]
             largest = np.max(np.broadcast_arrays(*each, self.failed)[:-1], axis=0)
             by_name[name] = np.where(self.failed | exact.failed, np.nan, largest)
         return by_name
@@ -138,16 +118,15 @@ def _distance(a: Array, b: Array) -> Array:
 
 def sizes_of(model: Model, ends: Ends, twist0: Any) -> dict[str, float]:
     """Return the scales of errors and drifts by name, medians over the trajectories."""
-    twists = ends.twists
     starts = arrays_of(model, "twist0", twist0)
     with np.errstate(all="ignore"):  # a trajectory may diverge
-        placed, moving = model.from_links(ends.poses), model.from_links(twists)
+        placed, moving = model.from_links(ends.poses), model.from_links(ends.twists)
         length, energy = (float(np.nanmedian(each)) for each in magnitudes(model, placed, moving))
         speeds = {}
         for name, part in (("omega", slice(0, 3)), ("v", slice(3, 6))):
             each = [
                 float(np.nanmedian(np.linalg.norm(twist[..., part], axis=-1)))
-                for twist in (*starts.values(), *twists.values())
+                for twist in (*starts.values(), *ends.twists.values())
             ]
             speeds[name] = max(each)
     speeds["v"] = max(speeds["v"], length * speeds["omega"])

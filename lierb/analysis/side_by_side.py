@@ -16,13 +16,7 @@ from lierb.errors import ArgumentError, LierbError, MemoryLimitError
 from lierb.results.columns import as_array, as_codes
 from lierb.results.failures import has_failed
 from lierb.results.result import Result
-from lierb.runs.variations import (
-    Variation,
-    Varied,
-    fixed_directions,
-    item_shape,
-    with_directions,
-)
+from lierb.runs.variations import Variation, Varied, fixed_directions, item_shape, with_directions
 from lierb.support.arrays import Array
 
 State = dict[str, Array]  # arrays by name, [experiment]
@@ -147,7 +141,8 @@ class Experiments:
             if not steps.any():
                 raise
             if len(members) == 1:
-                return self._failed(members, point, str(error))
+                reason = np.array([str(error)], dtype=object)
+                return point | {"chi2": np.array([np.inf]), "reason": reason}
         half = len(members) // 2  # to find those that cannot be run
         first, second = (
             self.tried(members[part], part_of(point, part), steps[part])
@@ -177,10 +172,6 @@ class Experiments:
             "slope": unknowns.slope(unknowns.base), "sizes": unknowns.sizes,
             "scales": unknowns.scales, "reason": self._reasons(result, is_whole),
         }  # fmt: skip
-
-    def _failed(self, members: Members, point: State, reason: str) -> State:
-        reasons = np.array([reason], dtype=object)
-        return point | {"chi2": np.array([np.inf]), "reason": reasons}
 
     def _runs(self, members: Members, is_guess: bool) -> Runs:
         """Return the runs with the numbers of their trajectories, which select noise."""

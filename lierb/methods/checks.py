@@ -47,13 +47,6 @@ def explicit(row: Row, known: int, what: str) -> Row:
     return row[:known]
 
 
-def require_length(row: Row, length: int, what: str) -> None:
-    if len(row) != length:
-        raise ArgumentError(
-            f"{what} has {len(row)} numbers; expected {length}, one for each stage (zeros too)"
-        )
-
-
 def require_sum(numbers: Iterable[float], expected: float, what: str, told_expected: str) -> None:
     """Raise unless the numbers add up to `expected`, up to rounding."""
     summed = tuple(numbers)

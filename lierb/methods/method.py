@@ -18,7 +18,6 @@ from lierb.methods.checks import (
     MOST_ERROR_ROWS,
     explicit,
     require_both,
-    require_length,
     require_order,
     rows_of,
 )
@@ -72,29 +71,13 @@ class Method(ABC):
     def amplification(self, z: Any) -> Any:
         """Return the factor by which a step changes a mode e^(λt).   z : hλ, complex array."""
 
+    @abstractmethod
     def scheme(self, is_adaptive: bool, interpolates: bool) -> Scheme:
         """Return the coefficients for the kernels, the same object for the same arguments.
 
         is_adaptive : whether steps have an error estimate.
         interpolates : whether states between steps are needed.
         """
-        wanted = is_adaptive, interpolates
-        if wanted not in self._schemes:
-            self._schemes[wanted] = self.scheme_of(*self._estimates(*wanted))
-        return self._schemes[wanted]
-
-    @cached_property
-    def _schemes(self) -> dict[tuple[bool, bool], Scheme]:
-        return {}
-
-    @abstractmethod
-    def scheme_of(self, embedded: Embedded | None, extension: Extension | None) -> Scheme:
-        """Return coefficients for the kernels, with an error estimate and continuous extension."""
-
-    def _estimates(
-        self, is_adaptive: bool, interpolates: bool
-    ) -> tuple[Embedded | None, Extension | None]:
-        return None, None
 
 
 class StagedMethod(Method):
@@ -141,17 +124,26 @@ class StagedMethod(Method):
         changes = self.linear_stages(z)
         return 1.0 + sum(b * change for b, change in zip(self.b, changes, strict=True))
 
-    def _estimates(
-        self, is_adaptive: bool, interpolates: bool
-    ) -> tuple[Embedded | None, Extension | None]:
-        embedded = extension = None
-        if is_adaptive:
-            assert self.error is not None
-            assert self.error_order is not None
-            embedded = Embedded(floats(self.error), self.error_order)
-        if interpolates and self.dense is not None:
-            extension = Extension(floats(self.dense_A), floats(self.dense))
-        return embedded, extension
+    def scheme(self, is_adaptive: bool, interpolates: bool) -> Scheme:
+        wanted = is_adaptive, interpolates
+        if wanted not in self._schemes:
+            embedded = extension = None
+            if is_adaptive:
+                assert self.error is not None
+                assert self.error_order is not None
+                embedded = Embedded(floats(self.error), self.error_order)
+            if interpolates and self.dense is not None:
+                extension = Extension(floats(self.dense_A), floats(self.dense))
+            self._schemes[wanted] = self.scheme_of(embedded, extension)
+        return self._schemes[wanted]
+
+    @cached_property
+    def _schemes(self) -> dict[tuple[bool, bool], Scheme]:
+        return {}
+
+    @abstractmethod
+    def scheme_of(self, embedded: Embedded | None, extension: Extension | None) -> Scheme:
+        """Return coefficients for the kernels, with an error estimate and continuous extension."""
 
     # ---- checks of a new method ----
 
@@ -175,7 +167,11 @@ class StagedMethod(Method):
                 f"error has {len(rows)} rows; expected one, b − b̂, or the two of DOP853"
             )
         for i, row in enumerate(rows):
-            require_length(row, self.stages, f"row {i} of error")
+            if len(row) != self.stages:
+                raise ArgumentError(
+                    f"row {i} of error has {len(row)} numbers; expected {self.stages}, one for "
+                    "each stage (zeros too)"
+                )
             if not any(row):
                 raise ArgumentError(f"row {i} of error has zeros alone; it is b − b̂")
         return rows

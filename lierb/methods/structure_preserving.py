@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -11,9 +13,8 @@ from lierb.errors import ArgumentError, brief
 from lierb.kernels.systems.scheme import (
     AlphaScheme,
     BLieDFScheme,
-    Embedded,
-    Extension,
     RattleScheme,
+    Scheme,
     ShakeScheme,
     VerletScheme,
 )
@@ -41,11 +42,8 @@ OF_ONE_LENGTH = WITH_CONSTRAINTS._replace(cuts_steps=False)
 
 
 @dataclass(frozen=True)
-class Verlet(Method):
-    """Verlet's variational method steps a body on the subgroup of its joint.
-
-    Substeps follow each other: with lengths (1,) times the step the method has order 2, with
-    Suzuki's five lengths order 4, or 3 where forces depend on velocities.
+class StructurePreserving(Method):
+    """A structure-preserving method has one set of coefficients, whatever a run needs.
 
     Attributes
     ----------
@@ -53,18 +51,40 @@ class Verlet(Method):
         Name of the method.
     order : int
         Order of the method.
-    shares : tuple of float
-        Lengths of the substeps, as fractions of the step.
     source : str
         Publication.
     """
 
     name: str
     order: int
-    shares: tuple[float, ...]
     source: str
 
     updates = ("local",)
+
+    @property
+    @abstractmethod
+    def coefficients(self) -> Scheme:
+        """Return the coefficients for the kernels."""
+
+    def scheme(self, is_adaptive: bool, interpolates: bool) -> Scheme:
+        return self.coefficients
+
+
+@dataclass(frozen=True)
+class Verlet(StructurePreserving):
+    """Verlet's variational method steps a body on the subgroup of its joint.
+
+    Substeps follow each other: with lengths (1,) times the step the method has order 2, with
+    Suzuki's five lengths order 4, or 3 where forces depend on velocities.
+
+    Attributes
+    ----------
+    shares : tuple of float
+        Lengths of the substeps, as fractions of the step.
+    """
+
+    shares: tuple[float, ...]
+
     limits = ON_SUBGROUPS
 
     @property
@@ -74,7 +94,8 @@ class Verlet(Method):
     def amplification(self, z: Any) -> Any:
         return oscillator_growth(z, self.shares)
 
-    def scheme_of(self, embedded: Embedded | None, extension: Extension | None) -> VerletScheme:
+    @cached_property
+    def coefficients(self) -> VerletScheme:
         return VerletScheme(shares=self.shares)
 
 
@@ -102,62 +123,23 @@ def oscillator_growth(z: Any, shares: tuple[float, ...]) -> Any:
     return np.where(discriminant < 0.0, np.sqrt(np.abs(determinant)), apart)
 
 
-@dataclass(frozen=True)
-class Rattle(Method):
-    """RATTLE steps a body on its c-space, with the joint's rows as constraints.
+class Rattle(StructurePreserving):
+    """RATTLE steps a body on its c-space, with the joint's rows as constraints."""
 
-    Attributes
-    ----------
-    name : str
-        Name of the method.
-    order : int
-        Order of the method.
-    source : str
-        Publication.
-    """
-
-    name: str
-    order: int
-    source: str
-
-    updates = ("local",)
     limits = WITH_CONSTRAINTS
-
-    @property
-    def evaluations(self) -> float:
-        return 2.0
+    evaluations = 2.0
+    coefficients = RattleScheme()
 
     def amplification(self, z: Any) -> Any:
         return oscillator_growth(z, (1.0,))
 
-    def scheme_of(self, embedded: Embedded | None, extension: Extension | None) -> RattleScheme:
-        return RattleScheme()
 
+class Shake(StructurePreserving):
+    """SHAKE steps a body on its c-space, with the joint's rows as constraints of the position."""
 
-@dataclass(frozen=True)
-class Shake(Method):
-    """SHAKE steps a body on its c-space, with the joint's rows as constraints of the position.
-
-    Attributes
-    ----------
-    name : str
-        Name of the method.
-    order : int
-        Order of the method.
-    source : str
-        Publication.
-    """
-
-    name: str
-    order: int
-    source: str
-
-    updates = ("local",)
     limits = OF_ONE_LENGTH
-
-    @property
-    def evaluations(self) -> float:
-        return 1.0
+    evaluations = 1.0
+    coefficients = ShakeScheme()
 
     def amplification(self, z: Any) -> Any:
         """Return the growth of the oscillator with modes e^(λt) and e^(λ̄t) in a step.
@@ -172,29 +154,13 @@ class Shake(Method):
         matrices = np.moveaxis(np.array(rows), (0, 1), (-2, -1))
         return np.abs(np.linalg.eigvals(matrices)).max(axis=-1)
 
-    def scheme_of(self, embedded: Embedded | None, extension: Extension | None) -> ShakeScheme:
-        return ShakeScheme()
 
-
-@dataclass(frozen=True)
-class BLieDF(Method):
+class BLieDF(StructurePreserving):
     """A backward differentiation formula of index 3 steps a body on its c-space.
 
-    Attributes
-    ----------
-    name : str
-        Name of the method.
-    order : int
-        Order of the method, and number of its steps: 1 or 2.
-    source : str
-        Publication.
+    Its order, 1 or 2, is the number of its steps.
     """
 
-    name: str
-    order: int
-    source: str
-
-    updates = ("local",)
     needs_derivatives = True
     limits = OF_ONE_LENGTH
 
@@ -205,38 +171,32 @@ class BLieDF(Method):
         root = np.sqrt(1.0 + 2.0 * np.asarray(z, complex))  # (3/2 − z) r² − 2 r + 1/2 = 0
         return np.maximum(np.abs(2.0 + root), np.abs(2.0 - root)) / np.abs(3.0 - 2.0 * z)
 
-    def scheme_of(self, embedded: Embedded | None, extension: Extension | None) -> BLieDFScheme:
+    @cached_property
+    def coefficients(self) -> BLieDFScheme:
         return BLieDFScheme(order=self.order)
 
 
 @dataclass(frozen=True)
-class GeneralisedAlpha(Method):
+class GeneralisedAlpha(StructurePreserving):
     """A generalised α method steps a body on its c-space; `generalised_alpha` makes one.
 
     Attributes
     ----------
     name : str
         Name of the method.
-    rho : float
-        ρ∞, factor by which a step changes infinitely fast oscillations.
-    index : int
-        3, or 2 for the stabilised form.
     order : int
         Order of the method.
     source : str
         Publication.
+    rho : float
+        ρ∞, factor by which a step changes infinitely fast oscillations.
+    index : int
+        3, or 2 for the stabilised form.
     """
 
-    name: str
     rho: float
     index: int
-    order: int = 2
-    source: str = (
-        "Brüls, Cardona and Arnold, Mech. Mach. Theory 48 (2012); "
-        "Arnold, Brüls and Cardona, Numerische Mathematik 129 (2015)"
-    )
 
-    updates = ("local",)
     needs_derivatives = True
     limits = OF_ONE_LENGTH
 
@@ -244,7 +204,8 @@ class GeneralisedAlpha(Method):
         """Return 1, a bound: the method is unconditionally stable."""
         return np.ones(np.shape(z))
 
-    def scheme_of(self, embedded: Embedded | None, extension: Extension | None) -> AlphaScheme:
+    @cached_property
+    def coefficients(self) -> AlphaScheme:
         return AlphaScheme(rho=self.rho, index=self.index)
 
 
@@ -289,28 +250,25 @@ def generalised_alpha(*, rho: float = RHO, index: int = 3) -> GeneralisedAlpha:
     if not (is_whole(index) and index in (2, 3)):
         raise ArgumentError(f"index={brief(index)}; expected 3, or 2 for the stabilised form")
     own = "" if damping == RHO else f"(rho={damping:g})"
-    return GeneralisedAlpha(f"alpha{index}{own}", damping, int(index))
+    return GeneralisedAlpha(f"alpha{index}{own}", 2, _ALPHA, damping, int(index))
 
 
+_ALPHA = (
+    "Brüls, Cardona and Arnold, Mech. Mach. Theory 48 (2012); "
+    "Arnold, Brüls and Cardona, Numerische Mathematik 129 (2015)"
+)
 _P = 1.0 / (4.0 - 4.0 ** (1.0 / 3.0))
 _BLIEDF = "Wieloch and Arnold, J. Comput. Appl. Math. 387 (2021)"
 _RATTLIE = "Hante and Arnold, J. Comput. Appl. Math. 387 (2021)"
-_SOURCE = "Marsden, Pekarsky and Shkoller, Nonlinearity 12 (1999)"
+_RYCKAERT = "Ryckaert, Ciccotti and Berendsen, J. Comput. Phys. 23 (1977)"
+_MARSDEN = "Marsden, Pekarsky and Shkoller, Nonlinearity 12 (1999)"
+_SUZUKI = "Suzuki, Phys. Lett. A 146 (1990)"
 
 METHODS = (
-    Verlet("Verlet", 2, (1.0,), _SOURCE),
-    Verlet(
-        "Verlet4",
-        4,
-        (_P, _P, 1.0 - 4.0 * _P, _P, _P),
-        f"{_SOURCE}; Suzuki, Phys. Lett. A 146 (1990)",
-    ),
+    Verlet("Verlet", 2, _MARSDEN, (1.0,)),
+    Verlet("Verlet4", 4, f"{_MARSDEN}; {_SUZUKI}", (_P, _P, 1.0 - 4.0 * _P, _P, _P)),
     Rattle("RATTLie", 2, _RATTLIE),
-    Shake(
-        "SHAKELie",
-        2,
-        f"Ryckaert, Ciccotti and Berendsen, J. Comput. Phys. 23 (1977); {_RATTLIE}",
-    ),
+    Shake("SHAKELie", 2, f"{_RYCKAERT}; {_RATTLIE}"),
     generalised_alpha(index=3),
     generalised_alpha(index=2),
     BLieDF("BLieDF1", 1, _BLIEDF),

@@ -48,7 +48,8 @@ ELEMENTS: dict[str, type[Element]] = {
 def shown_element(element: Element) -> str:
     shapes = element.kind.shapes
     given = (f"{n} {quantity(a, item_axes=len(shapes[n]))}" for n, a in element.parameters.items())
-    return f"{element.name}: {', '.join(given) or 'no parameters'}"
+    where = f", on {' and '.join(element.at)}" if element.at else ""
+    return f"{element.name}: {', '.join(given) or 'no parameters'}{where}"
 
 
 def require(argument: str, value: object, kind: type, expected: str) -> None:
@@ -56,31 +57,33 @@ def require(argument: str, value: object, kind: type, expected: str) -> None:
         raise ArgumentError(f"{argument} must be {expected}, got {brief(value)}")
 
 
-def _checked(argument: str, given: Any, kind: type[Element], joint: Joint) -> tuple[Element, ...]:
-    one, expected = (f"{words} made by lierb" for words in kind.words)
-    elements = items_of(argument, given, expected) if isinstance(given, Iterable) else (given,)
-    fitting = []
-    for number, element in enumerate(elements):
-        label = f"{argument}[{number}]"
-        reject_functions(label, element)
-        require(label, element, kind, one)
-        if element.at:
-            raise ArgumentError(
-                f"{label} is on {' and '.join(element.at)}; a Problem has one body and no names: "
-                "leave .on(…) out, or make a lierb.Mechanism"
-            )
-        if element.kind.adds_inertia:
-            raise ForceError(
-                f"{label}, {element.name}, adds inertia, and the equations of a Problem are those "
-                "of constant bodies; make a lierb.Mechanism, which can have one link"
-            )
-        if element.kind.joints > 1:
-            raise ForceError(
-                f"{label}, {element.name}, couples two joints, and a Problem has one; make a "
-                "lierb.Mechanism"
-            )
-        fitting.append(fitted(element, joint))
-    return tuple(fitting)
+def all_of(argument: str, given: Any, kind: type, one: str, several: str) -> Any:
+    """Return the items of an argument, or the one item that it is. Raises ArgumentError."""
+    items = items_of(argument, given, several) if isinstance(given, Iterable) else (given,)
+    for number, item in enumerate(items):
+        reject_functions(f"{argument}[{number}]", item)
+        require(f"{argument}[{number}]", item, kind, one)
+    return items
+
+
+def on_one_body(label: str, element: Element, joint: Joint) -> Any:
+    """Return the element for a problem's joint; raise if it cannot act there."""
+    if element.at:
+        raise ArgumentError(
+            f"{label} is on {' and '.join(element.at)}; a Problem has one body and no names: "
+            "leave .on(…) out, or make a lierb.Mechanism"
+        )
+    if element.kind.adds_inertia:
+        raise ForceError(
+            f"{label}, {element.name}, adds inertia, and the equations of a Problem are those "
+            "of constant bodies; make a lierb.Mechanism, which can have one link"
+        )
+    if element.kind.joints > 1:
+        raise ForceError(
+            f"{label}, {element.name}, couples two joints, and a Problem has one; make a "
+            "lierb.Mechanism"
+        )
+    return fitted(element, joint)
 
 
 def bind(problem: Any) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, ClassVar, Self
@@ -15,10 +15,8 @@ from lierb.kernels.functions.shapes import UserFunction
 from lierb.kernels.mechanics import elements as kinds
 from lierb.kernels.mechanics.newton_euler import BodyConstants, Parameters
 from lierb.kernels.mechanics.rows import Rows
-from lierb.kernels.mechanics.spatial import Rigid
-from lierb.kernels.numbers.vec import IDENTITY, ZERO3, scale
 from lierb.kernels.systems.plan import AnyPlan
-from lierb.model.acting import ELEMENTS, bind, shown_element
+from lierb.model.acting import ELEMENTS, all_of, bind, shown_element
 from lierb.model.bodies.body import Body
 from lierb.model.connections import Connection
 from lierb.model.formulation import Formulation
@@ -31,19 +29,26 @@ from lierb.model.functions.ground_motion import MovingGround, moving_ground, req
 from lierb.model.functions.observables import Observable
 from lierb.model.functions.states import ExtraStates
 from lierb.model.functions.wrenches import Force
-from lierb.model.joints.joint import Joint
-from lierb.model.numbers import Numbers, by_field, elements_with
+from lierb.model.joints.joint import JOINT, Joint
+from lierb.model.numbers import (
+    BODY,
+    Numbers,
+    body_with,
+    by_field,
+    elements_with,
+    joint_with,
+)
 from lierb.support.arrays import (
     Array,
-    Pose,
     Which,
     batch_size,
-    components,
+    items_at,
     member_of,
-    pose_components,
 )
 from lierb.support.representations import Represented
 
+OfBody = Callable[[Body, str, str], Body]
+OfJoint = Callable[[Joint, str], Joint]
 DESCRIBED = ("forces", "constraints", "observables")  # in metadata, even if there are none
 
 
@@ -56,6 +61,7 @@ class Model(Represented):
     """
 
     default_cspace: ClassVar[str]
+    element_prefix: ClassVar[str]  # of `element_fields`
     flags_starts: ClassVar[bool]  # True if the kernels flag starts that violate the joint
 
     gravity: Array
@@ -81,28 +87,24 @@ class Model(Represented):
         require_one_ground(self)
         bind(self)
 
-    # ---- implemented by problems and mechanisms ----
-
     def _fitted(self, label: str, given: Any, kind: type[Element]) -> tuple[Any, ...]:
         """Check elements; raise if they cannot act on this model."""
+        one, several = (f"{words} made by lierb" for words in kind.words)
+        elements = all_of(label, given, kind, one, several)
+        return tuple(self._placed(f"{label}[{i}]", e) for i, e in enumerate(elements))
+
+    # ---- implemented by problems and mechanisms ----
+
+    def _placed(self, label: str, element: Element) -> Any:
+        """Return the element at its place; raise if it cannot act on this model."""
         raise NotImplementedError
 
-    @property
-    def _structure(self) -> tuple[Any, ...]:
-        """Arguments of the constructor before the elements."""
-        raise NotImplementedError
+    def _structure(self, body: OfBody, joint: OfJoint) -> tuple[Any, Any]:
+        """First two arguments of the constructor, with other bodies and joints.
 
-    def _structure_with(self, numbers: Numbers) -> tuple[Any, ...]:
-        """Arguments of the constructor before the elements, with numbers by field of `inputs`."""
-        raise NotImplementedError
-
-    def _structure_of(self, which: Which) -> tuple[Any, ...]:
-        """Arguments of the constructor before the elements, for part of the batch."""
-        raise NotImplementedError
-
-    @property
-    def _arguments(self) -> dict[str, tuple[Array, int]]:
-        """Arrays that may be batched, by name, with the number of axes of one item."""
+        body : function of a body, the prefix of its fields and its link's name.
+        joint : function of a joint and the prefix of its fields.
+        """
         raise NotImplementedError
 
     # ---- elements ----
@@ -204,25 +206,25 @@ class Model(Represented):
         }
         if ground_motion is not None:
             elements["ground_motion"] = ground_motion
-        return self._remade(changed._structure, elements)
+        structure = changed._structure(lambda body, *_: body, lambda joint, _: joint)
+        return self._remade((*structure, changed.gravity), elements)
 
     def renumbered(self, numbers: Numbers) -> Self:
         """Return the model with other numbers in some fields of `inputs`, in the shapes there."""
         numbers = {field: np.asarray(x) for field, x in numbers.items()}  # kernels read addresses
-        elements = elements_with(self, numbers)
-        return self._remade(self._structure_with(numbers), elements)
+        structure = self._structure(
+            lambda body, field, link: body_with(body, numbers, field, link),
+            lambda joint, field: joint_with(joint, numbers, field),
+        )
+        gravity = numbers.get("gravity", self.gravity)
+        return self._remade((*structure, gravity), elements_with(self, numbers))
 
     def _remade(self, structure: tuple[Any, ...], elements: dict[str, Any]) -> Self:
         return type(self)(*structure, **elements)
 
     def _shown_elements(self) -> list[tuple[str, str]]:
-        def line(element: Element) -> str:
-            return shown_element(element) + (
-                f", on {' and '.join(element.at)}" if element.at else ""
-            )
-
         return [
-            (label, "\n".join(map(line, elements)))
+            (label, "\n".join(map(shown_element, elements)))
             for label in ELEMENTS
             if (elements := getattr(self, label))
         ]
@@ -231,11 +233,18 @@ class Model(Represented):
 
     @cached_property
     def _batched(self) -> dict[str, tuple[Array, int]]:
-        return {
-            name: (array, axes)
-            for name, (array, axes) in self._arguments.items()
-            if array.ndim > axes
-        }
+        """Arrays with a number for each member, by name, with the number of axes of one item."""
+        entries = {"gravity": (self.gravity, 1)}
+        for name, body in zip(self.link_names, self.bodies, strict=True):
+            entries |= {_joined(name, k): (getattr(body, k), n) for k, n in BODY.items()}
+        for at in self.joints:
+            entries |= {_joined(at.name, k): (getattr(at.joint, k), n) for k, n in JOINT.items()}
+        for number, element in enumerate(self.elements):
+            for k, shape in element.kind.shapes.items():
+                name = ".".join((*element.at, element.name, k))
+                name += f"[{number}]" if name in entries else ""
+                entries[name] = element.parameters[k], len(shape)
+        return {name: (array, axes) for name, (array, axes) in entries.items() if array.ndim > axes}
 
     def batch_size(self, **more: Any) -> int | None:
         """Return the number of members of the batch; None if no argument is batched."""
@@ -264,7 +273,8 @@ class Model(Represented):
     def part(self, which: Which) -> Self:
         """Return one member of the batch, or a range of them."""
         elements = {label: [e.of_body(which) for e in getattr(self, label)] for label in ELEMENTS}
-        return self._remade(self._structure_of(which), elements)
+        structure = self._structure(lambda body, *_: body.of(which), lambda x, _: x.of(which))
+        return self._remade((*structure, items_at(self.gravity, which, 1)), elements)
 
     # ---- runs ----
 
@@ -288,11 +298,6 @@ class Model(Represented):
         """True if each trajectory needs a clock, for events, states, controllers or jumps."""
         has_states = any(element.columns for element in self.elements)
         return bool(self.events or has_states or self.controllers) or self.has_jumps
-
-    @property
-    def counters(self) -> tuple[ExtraStates, ...]:
-        """Extra states that count turns."""
-        return tuple(each for each in self.states if isinstance(each.kind, kinds.TurnCounter))
 
     @property
     def described_elements(self) -> dict[str, tuple[Element, ...]]:
@@ -340,20 +345,27 @@ class Model(Represented):
         """Prefix of each joint's fields in the inputs of the kernels."""
         raise NotImplementedError
 
-    @property
+    @cached_property
     def element_fields(self) -> tuple[str, ...]:
         """Prefix of each element's fields in the inputs of the kernels."""
-        raise NotImplementedError
+        return tuple(f"{self.element_prefix}{i}." for i in range(len(self.elements)))
 
-    @property
+    @cached_property
     def quantities(self) -> dict[str, Array]:
-        """Parameters of bodies and joints, by field."""
-        raise NotImplementedError
+        """Numbers of bodies and joints, and gravity, by field of the inputs."""
+        bodies = zip(self.fields, self.bodies, strict=True)
+        numbers = {f"{field}{k}": getattr(body, k) for field, body in bodies for k in BODY}
+        numbers["gravity"] = self.gravity
+        for field, at in zip(self.joint_fields, self.joints, strict=True):
+            numbers |= {f"{field}{k}": getattr(at.joint, k) for k in JOINT}
+        return numbers
 
-    @property
+    @cached_property
     def inputs(self) -> dict[str, Array]:
         """Input numbers of the kernels, by field."""
-        raise NotImplementedError
+        elements = zip(self.element_fields, self.elements, strict=True)
+        parameters = {f"{field}{k}": x for field, e in elements for k, x in e.parameters.items()}
+        return self.quantities | parameters
 
     @property
     def rows_by_name(self) -> tuple[tuple[str, Rows], ...]:
@@ -401,32 +413,5 @@ class Model(Represented):
         raise NotImplementedError
 
 
-def parameters_of(body: Body, joint: Joint | None, gravity: Array) -> Parameters:
-    """Return the parameters of a body for formulas; without a joint, its frame is the body's."""
-    own: Pose = (IDENTITY, ZERO3)
-    return Parameters(
-        mass=body.mass,
-        inertia=components(body.inertia, 2),
-        com=components(body.com),
-        gravity=components(gravity),
-        ground=own if joint is None else pose_components(joint.ground_frame),
-        body=own if joint is None else pose_components(joint.body_frame),
-        pitch=np.float64(0.0) if joint is None else joint.pitch,
-        length=np.float64(0.0) if joint is None else joint.length,
-    )
-
-
-def rigid_of(body: Body) -> Rigid:
-    """Return the mass, first moment and inertia of a body, one array per component."""
-    moment = scale(body.mass, components(body.com))
-    return Rigid(body.mass, moment, components(body.inertia, 2))
-
-
-def numbers_of(elements: Sequence[Element]) -> list[Array]:
-    """Return the parameters of elements, one array per component."""
-    return [
-        x
-        for element in elements
-        for name, shape in element.kind.shapes.items()
-        for x in components(element.parameters[name], len(shape))
-    ]
+def _joined(owner: str, name: str) -> str:
+    return f"{owner}.{name}" if owner else name

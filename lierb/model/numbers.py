@@ -1,8 +1,8 @@
-"""Names of a model's numbers, and its bodies, joints and elements with other numbers."""
+"""Names of a model's numbers; its parts with other numbers, and their numbers for formulas."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -10,12 +10,27 @@ import numpy as np
 
 from lierb.errors import ArgumentError, LierbError, brief, unknown_name
 from lierb.kernels.functions.shapes import Shape
-from lierb.kernels.mechanics.rows import parameters_of
+from lierb.kernels.mechanics.elements import EVERY, INITIAL, UserController
+from lierb.kernels.mechanics.newton_euler import Parameters
+from lierb.kernels.mechanics.rows import parameters_of as parameters_of_rows
+from lierb.kernels.mechanics.spatial import Rigid
+from lierb.kernels.numbers.vec import IDENTITY, ZERO3, scale
+from lierb.kernels.systems.layout import INPUTS
 from lierb.model.acting import ELEMENTS
 from lierb.model.bodies.body import Body
+from lierb.model.forces.built_in import BuiltIn
 from lierb.model.functions.elements import Element
-from lierb.model.joints.joint import Joint
-from lierb.support.arrays import Array, as_numbers, as_poses, as_positive
+from lierb.model.functions.states import ExtraStates
+from lierb.model.joints.joint import JOINT, Joint
+from lierb.support.arrays import (
+    Array,
+    Pose,
+    as_numbers,
+    as_poses,
+    as_positive,
+    components,
+    pose_components,
+)
 
 Numbers = Mapping[str, Array]  # by field of `Model.inputs`
 POINTS = {  # points of a joint: field of the frame of which each is the origin
@@ -23,41 +38,61 @@ POINTS = {  # points of a joint: field of the frame of which each is the origin
     "ground_point": "ground_frame",
     "parent_point": "ground_frame",
 }
+BODY = {"mass": 0, "inertia": 2, "com": 1}  # number of axes of an item, by name of the array
 FRAMES = ("ground_frame", "body_frame")
-OF_BODY = ("mass", "inertia", "com")
 INERTIA: tuple[Shape, ...] = (3,), (3, 3)
 
 
 class Place(NamedTuple):
     """Place of a named number: its field in `Model.inputs`, and the shapes that it may have.
 
-    is_point : True for the origin of a frame.
+    unit : "" for the number of a user's function.
+    kind : "number", "frame", "point", the origin of a frame, or "time", at which an element jumps.
+    binds : True for a number of a joint or a constraint, which a start must satisfy.
     """
 
     field: str
     shapes: tuple[Shape, ...]
-    is_point: bool = False
+    unit: str = ""
+    kind: str = "number"
+    binds: bool = False
 
 
 def places_of(model: Any) -> dict[str, Place]:
     """Return the place of each number of a model, by name."""
-    places = {"gravity": Place("gravity", ((3,),))}
+    places = {"gravity": Place("gravity", ((3,),), "m/s²")}
     for name, field in zip(model.link_names, model.fields, strict=True):
         prefix = f"{name}." if name else ""
-        for own, shapes in zip(OF_BODY, (((),), INERTIA, ((3,),)), strict=True):
-            places[f"{prefix}body.{own}"] = Place(f"{field}{own}", shapes)
+        for own, shapes in {"mass": ((),), "com": ((3,),), "inertia": INERTIA}.items():
+            unit = INPUTS.field(own).unit
+            places[f"{prefix}body.{own}"] = Place(f"{field}{own}", shapes, unit)
     for at, field in zip(model.joints, model.joint_fields, strict=True):
         prefix = f"{at.name}.joint." if at.name else "joint."
         for point, frame in POINTS.items():
             if at.name or point != "parent_point":
-                places[f"{prefix}{point}"] = Place(f"{field}{frame}", ((3,),), is_point=True)
-        places |= {f"{prefix}{frame}": Place(f"{field}{frame}", ((4, 4),)) for frame in FRAMES}
-        names = parameters_of(at.joint.rows)
-        places |= {f"{prefix}{name}": Place(f"{field}{name}", ((),)) for name in names}
+                place = Place(f"{field}{frame}", ((3,),), "m", "point", binds=True)
+                places[f"{prefix}{point}"] = place
+        for name, unit in parameters_of_rows(at.joint.rows).items():
+            places[f"{prefix}{name}"] = Place(f"{field}{name}", ((),), unit, binds=True)
+        for frame in FRAMES:
+            places[f"{prefix}{frame}"] = Place(f"{field}{frame}", ((4, 4),), kind="frame")
     for element, label, field in labelled(model):
+        binds = bool(element.kind.rows)
+        period = (EVERY,) if isinstance(element.kind, UserController) else ()
         for name, shape in element.kind.shapes.items():
-            places[f"{label}.{element.short(name)}"] = Place(f"{field}{name}", (shape,))
+            kind = "time" if name in (*element.kind.discontinuities, *period) else "number"
+            place = Place(f"{field}{name}", (shape,), _unit(element, name), kind, binds)
+            places[f"{label}.{element.short(name)}"] = place
     return places
+
+
+def _unit(element: Element, parameter: str) -> str:
+    """Return the unit of an element's parameter; empty for a user's, which is unknown."""
+    if isinstance(element.kind, BuiltIn):
+        return element.kind.unit_of(parameter)
+    if isinstance(element, ExtraStates) and parameter.startswith(INITIAL):
+        return element.unit_of_column(element.short(parameter))
+    return ""
 
 
 def labelled(model: Any) -> Iterator[tuple[Element, str, str]]:
@@ -86,13 +121,14 @@ def by_field(model: Any, given: Mapping[str, Any]) -> dict[str, Array]:
     for name, value in given.items():
         if name not in places:
             raise unknown_name("numbers", name, places)
-        field, shapes, is_point = places[name]
-        if field in numbers and not is_point:
+        place = places[name]
+        field, shapes = place.field, place.shapes
+        if field in numbers and place.kind != "point":
             raise ArgumentError(f"{name} and a point of it are given; give one of them")
-        if is_point:
+        if place.kind == "point":
             before = numbers.get(field, model.inputs[field])
             numbers[field] = _moved(before, as_numbers(name, value, *shapes))
-        elif shapes == ((4, 4),):
+        elif place.kind == "frame":
             numbers[field] = as_poses(name, value)
         elif name.endswith("joint.length"):
             numbers[field] = as_positive(name, value, "m")
@@ -115,11 +151,11 @@ def _moved(frame: Array, origin: Array) -> Array:
 
 def body_with(body: Body, numbers: Numbers, field: str, name: str = "") -> Body:
     """Return a body with other numbers. Raises the errors of `lierb.Body`.   name : its link."""
-    own = [numbers.get(f"{field}{each}") for each in OF_BODY]
+    own = [numbers.get(f"{field}{each}") for each in BODY]
     if all(x is None for x in own):
         return body
     mass, inertia, com = (
-        getattr(body, k) if x is None else x for k, x in zip(OF_BODY, own, strict=True)
+        getattr(body, k) if x is None else x for k, x in zip(BODY, own, strict=True)
     )
     if inertia.ndim == 2 and (mass.ndim or com.ndim > 1):
         inertia = inertia[None]  # without it, a batch of three bodies would be ambiguous
@@ -131,9 +167,8 @@ def body_with(body: Body, numbers: Numbers, field: str, name: str = "") -> Body:
 
 def joint_with(joint: Joint, numbers: Numbers, field: str) -> Joint:
     """Return a joint with other frames, pitch or length."""
-    own = (*FRAMES, "pitch", "length")
     changed: dict[str, Any] = {
-        name: numbers[f"{field}{name}"] for name in own if f"{field}{name}" in numbers
+        name: numbers[f"{field}{name}"] for name in JOINT if f"{field}{name}" in numbers
     }
     return replace(joint, **changed) if changed else joint
 
@@ -153,3 +188,37 @@ def _element(element: Element, label: str, field: str, numbers: Numbers) -> Elem
         return replace(element, parameters=element.parameters | changed).checked()
     except LierbError as error:
         raise type(error)(f"{label}: {error}") from None
+
+
+# ---- numbers as formulas take them --------------------------------------------------------------
+
+
+def parameters_of(body: Body, joint: Joint | None, gravity: Array) -> Parameters:
+    """Return the parameters of a body for formulas; without a joint, its frame is the body's."""
+    own: Pose = (IDENTITY, ZERO3)
+    return Parameters(
+        mass=body.mass,
+        inertia=components(body.inertia, 2),
+        com=components(body.com),
+        gravity=components(gravity),
+        ground=own if joint is None else pose_components(joint.ground_frame),
+        body=own if joint is None else pose_components(joint.body_frame),
+        pitch=np.float64(0.0) if joint is None else joint.pitch,
+        length=np.float64(0.0) if joint is None else joint.length,
+    )
+
+
+def rigid_of(body: Body) -> Rigid:
+    """Return the mass, first moment and inertia of a body, one array per component."""
+    moment = scale(body.mass, components(body.com))
+    return Rigid(body.mass, moment, components(body.inertia, 2))
+
+
+def numbers_of(elements: Sequence[Element]) -> list[Array]:
+    """Return the parameters of elements, one array per component."""
+    return [
+        x
+        for element in elements
+        for name, shape in element.kind.shapes.items()
+        for x in components(element.parameters[name], len(shape))
+    ]

@@ -16,19 +16,18 @@ from lierb.kernels.functions.shapes import UserFunction
 from lierb.kernels.groups import se3, so3
 from lierb.kernels.mechanics import elements as kinds
 from lierb.kernels.mechanics.constraints import residuals
-from lierb.kernels.mechanics.newton_euler import SE3, BodyConstants, Parameters, SO3xR3
+from lierb.kernels.mechanics.newton_euler import SE3, BodyConstants, Parameters
 from lierb.kernels.mechanics.rows import Rows
 from lierb.kernels.mechanics.saddle import solve
 from lierb.kernels.mechanics.scale import ROUNDING, bearings, length_of, rounding_of
 from lierb.kernels.mechanics.support import Load
 from lierb.kernels.numbers.arithmetic import absolute, where
 from lierb.kernels.numbers.vec import ZERO3, Vec, add, diagonal, dot, norm
-from lierb.kernels.systems.layout import INPUTS
 from lierb.kernels.systems.plan import Plan
 from lierb.kernels.systems.system_of import plan_of
 from lierb.kernels.tracing.cpu import DEFAULT_LANES
-from lierb.model.acting import _checked, require, unfit_place, unfit_rate
-from lierb.model.base import Model, numbers_of, parameters_of
+from lierb.model.acting import on_one_body, require, unfit_place, unfit_rate
+from lierb.model.base import Model, OfBody, OfJoint
 from lierb.model.bodies.body import Body
 from lierb.model.connections import NOWHERE, Connection
 from lierb.model.formulation import Formulation, formulation_of_body
@@ -41,25 +40,26 @@ from lierb.model.functions.observables import Observable
 from lierb.model.functions.states import ExtraStates
 from lierb.model.functions.wrenches import Force
 from lierb.model.joints.joint import MOST_ROWS, Joint
+from lierb.model.mechanism.links import Link
+from lierb.model.mechanism.mechanism import Mechanism
 from lierb.model.mechanism.row_system import CLOSED, LEAST_GYRATION, NEWTON_STEPS
 from lierb.model.mechanism.start_checks import violation_of_body
-from lierb.model.numbers import Numbers, body_with, joint_with
+from lierb.model.numbers import numbers_of, parameters_of
 from lierb.support.arrays import (
     Array,
     Pose,
-    Which,
     as_number,
     as_numbers,
     as_poses,
     assembled,
     components,
     finite,
-    items_at,
     pose_components,
     pose_matrix,
 )
 from lierb.support.representations import Lines, counted, quantity
 
+BODY = "body"  # link of a single body as a mechanism
 AT_REST = Load(ZERO3, ZERO3, ZERO3)
 CLOSED_POSE = np.full((4, 4), np.nan)  # input value that represents the pose of the closed joint
 
@@ -146,19 +146,11 @@ class Problem(Model):
         title = f"lierb.Problem: {count} on a {self.joint.name} joint"
         return title, [*rows, *self._shown_elements()]
 
-    def _fitted(self, label: str, given: Any, kind: type[Element]) -> tuple[Any, ...]:
-        return _checked(label, given, kind, self.joint)
+    def _placed(self, label: str, element: Element) -> Any:
+        return on_one_body(label, element, self.joint)
 
-    @property
-    def _structure(self) -> tuple[Any, ...]:
-        return self.body, self.joint, self.gravity
-
-    def _structure_with(self, numbers: Numbers) -> tuple[Any, ...]:
-        body, joint = body_with(self.body, numbers, ""), joint_with(self.joint, numbers, "")
-        return body, joint, numbers.get("gravity", self.gravity)
-
-    def _structure_of(self, which: Which) -> tuple[Any, ...]:
-        return self.body.of(which), self.joint.of(which), items_at(self.gravity, which, 1)
+    def _structure(self, body: OfBody, joint: OfJoint) -> tuple[Any, Any]:
+        return body(self.body, "", ""), joint(self.joint, "")
 
     @cached_property
     def rows(self) -> Rows:
@@ -170,26 +162,6 @@ class Problem(Model):
         )
         return (*self.joint.rows, *added)
 
-    @cached_property
-    def quantities(self) -> dict[str, Array]:
-        """Parameters of body, joint and gravity, by name, batched or not."""
-        owners = {"gravity": self, **dict.fromkeys(("mass", "inertia", "com"), self.body)}
-        given = (f.name for f in INPUTS.fields if f.name not in ("pose", "twist"))
-        return {name: getattr(owners.get(name, self.joint), name) for name in given}
-
-    @property
-    def _arguments(self) -> dict[str, tuple[Array, int]]:
-        entries = {
-            field.name: (self.quantities[field.name], len(field.shape))
-            for field in INPUTS.fields
-            if field.name in self.quantities
-        }
-        for element in self.elements:
-            for name, entry in element.batched().items():
-                same = sum(known.partition("[")[0] == name for known in entries)
-                entries[f"{name}[{same}]" if same else name] = entry
-        return entries
-
     # ---- interface of a model --------------------------------------------------------------------
 
     default_cspace = "SE3"
@@ -197,31 +169,20 @@ class Problem(Model):
     link_names = ("",)
     fields = ("",)
     joint_fields = ("",)
+    element_prefix = ""
     order = (0,)
 
     @cached_property
     def joints(self) -> tuple[Connection, ...]:
         return (Connection("", 0, NOWHERE, self.joint, self.joint.rows),)
 
-    def constants(self, at: Connection) -> BodyConstants:
-        return self.in_joint_axes(SE3)
-
     @property
     def bodies(self) -> tuple[Body, ...]:
         return (self.body,)
 
     @cached_property
-    def element_fields(self) -> tuple[str, ...]:
-        return tuple(f"{i}." for i in range(len(self.elements)))
-
-    @property
     def inputs(self) -> dict[str, Array]:
-        parameters = {
-            f"{field}{name}": element.parameters[name]
-            for field, element in zip(self.element_fields, self.elements, strict=True)
-            for name in element.kind.shapes
-        }
-        return {**self.quantities, **parameters, "pose": CLOSED_POSE}
+        return {**super().inputs, "pose": CLOSED_POSE}
 
     @property
     def rows_by_name(self) -> tuple[tuple[str, Rows], ...]:
@@ -270,9 +231,9 @@ class Problem(Model):
         """Return the problem's parameters for formulas, one array per component."""
         return parameters_of(self.body, self.joint, self.gravity)
 
-    def in_joint_axes(self, space: type[SE3] | type[SO3xR3]) -> BodyConstants:
-        """Return the constants of the body and its elements for the formulas of a c-space."""
-        return kinds.body_with(space, self.parameters(), self.kinds, numbers_of(self.elements))
+    def constants(self, at: Connection | None = None) -> BodyConstants:
+        """Return the constants of the body and its elements for formulas in joint axes."""
+        return kinds.body_with(SE3, self.parameters(), self.kinds, numbers_of(self.elements))
 
     def close(self, pose: Any, *, t0: float = 0.0) -> Array:
         """Find a pose near `pose` that closes the joint, by Newton's method on its rows.
@@ -320,7 +281,7 @@ class Problem(Model):
         placed, at_rest = SE3.to_joint_axes(parameters, pose_components(poses), (0.0,) * 6)
         length = length_of(parameters)
         small = CLOSED * length  # m
-        body = _stout(self.in_joint_axes(SE3), length)
+        body = _stout(self.constants(), length)
         # Positions in users' functions are relative to the origins of the users' frames.
         rounding = rounding_of(parameters, pose_components(poses))
         for _ in range(NEWTON_STEPS):
@@ -390,7 +351,7 @@ class Problem(Model):
         return finite("the projected twist", nearest)
 
     def _projected(self, twist: Vec, pose: Pose, t0: Any) -> Array:
-        parameters, body = self.parameters(), self.in_joint_axes(SE3)
+        parameters, body = self.parameters(), self.constants()
         placed, velocity = SE3.to_joint_axes(parameters, pose, twist)
         x = SE3.kinematics(body, placed, velocity)._replace(time=t0)
         prescribed = [r.prescribed_rate(x, body) for r in self.rows]
@@ -404,6 +365,17 @@ class Problem(Model):
             velocity = add(velocity, change.turning + change.moving)
         _, projected = SE3.to_user_axes(parameters, placed, velocity)
         return assembled(projected)
+
+
+def as_mechanism(model: Model, **elements: Any) -> Mechanism:
+    """Return a model's bodies and joints as a mechanism with these elements.
+
+    The link of a single body is named BODY.
+    """
+    if isinstance(model, Mechanism):
+        return Mechanism(model.links, model.loops, **elements)
+    assert isinstance(model, Problem)
+    return Mechanism(Link(BODY, model.body, model.joint), **elements)
 
 
 def _stout(body: BodyConstants, length: Any) -> BodyConstants:

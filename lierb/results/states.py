@@ -15,9 +15,9 @@ from lierb.kernels.groups import so3
 from lierb.kernels.mechanics.rows import JOINT_ROWS
 from lierb.kernels.mechanics.spatial import wrench_from
 from lierb.kernels.numbers.vec import ZERO6, Vec, add, norm, scale
-from lierb.model.base import rigid_of
 from lierb.model.bodies.body import Body
 from lierb.model.functions.column_names import COMPONENTS
+from lierb.model.numbers import rigid_of
 from lierb.results.columns import as_array, numbers, unit_of
 from lierb.runs.continuation import End
 from lierb.support.arrays import Array, assembled, components, is_whole, pose_matrix

@@ -62,11 +62,16 @@ class AdjointRun(Run[Any]):
 
     def calls(self, begin: int = 0) -> Iterator[int]:
         """Differentiate some trajectories after the others; yield the work done."""
-        lanes, count, first = self.plan.lanes, self.inputs.count, 0
+        lanes, count, first, times = self.plan.lanes, self.inputs.count, 0, self.times
         size = max(FIRST_CALL_STEPS // self.steps, 1) * lanes * self.threads
         while first < count:
             stop = min(first + size, count)
-            numbers = self.numbers | {"first": first, "stop": stop}
+            numbers = {
+                "dt": times.dt if isinstance(times, StepClock) else 0.0, "end": times.end,
+                "steps": self.steps, "kept_every": self.every, "differ": BODIES,
+                "first_row": self.rows[0], "state_rows": self.rows[1],
+                "first": first, "stop": stop,
+            }  # fmt: skip
             jobs = jobs_of(*(job_of(self.arrays | own, numbers) for own in self.memories))
             seconds = self.run(differentiate_blocks, np.zeros(2, dtype=np.int64), jobs)
             blocks = max(int((stop - first) / lanes * CALL_SECONDS / seconds), self.threads)
@@ -96,15 +101,6 @@ class AdjointRun(Run[Any]):
             state = begun(self.tag.plain, system.body(given), given, at)
         numbers = len(moving(state))
         return self.tag.inputs + marks(of_inputs) + numbers, numbers
-
-    @cached_property
-    def numbers(self) -> dict[str, float]:
-        times = self.times
-        return {
-            "dt": times.dt if isinstance(times, StepClock) else 0.0, "end": times.end,
-            "steps": self.steps, "kept_every": self.every, "differ": BODIES,
-            "first_row": self.rows[0], "state_rows": self.rows[1],
-        }  # fmt: skip
 
     @cached_property
     def memories(self) -> list[dict[str, NDArray[Any]]]:

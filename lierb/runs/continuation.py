@@ -21,7 +21,7 @@ from lierb.model.base import Model
 from lierb.model.functions.elements import Element
 from lierb.runs.lane_engine import LaneTime
 from lierb.runs.output import Output
-from lierb.support.arrays import Array
+from lierb.support.arrays import Array, components, pose_matrix
 
 NAMED = 5  # most failed trajectories listed in a message
 
@@ -98,11 +98,6 @@ class Continuation:
         assert isinstance(self.clock, StepClock)
         return self.clock.dt
 
-    @property
-    def own(self) -> list[str]:
-        """Names of the extra states and controller outputs."""
-        return [column.name for column in self.model.signals]
-
 
 def continuing(
     pose0: Any, model: Model, plan: AnyPlan, twist0: Any, t0: float
@@ -114,9 +109,10 @@ def continuing(
     known = continuation_of(pose0)
     if known is None or known.fits(model, plan, twist0, t0):
         return known
-    if known.own and model.signals:
+    own = ", ".join(column.name for column in known.model.signals)
+    if own and model.signals:
         raise ArgumentError(
-            f"pose0 is the end of a run that had {', '.join(known.own)} beside the motion, which "
+            f"pose0 is the end of a run that had {own} beside the motion, which "
             "go on with result.end as it is alone: with its twist0 and t0, the same c-space, "
             "states, and controllers of the same outputs, memory and periods; to start them anew, "
             "give a copy of pose0, and initial values to the elements that have them"
@@ -155,7 +151,7 @@ def _have_equal_joints(a: Model, b: Model) -> bool:
         and all(
             np.array_equal(array, b.quantities[name])
             for name, array in a.quantities.items()
-            if name != "gravity" and not name.startswith("element")
+            if name != "gravity"
         )
         and len(constraints[0]) == len(constraints[1])
         and all(map(_is_same, *constraints))
@@ -248,10 +244,14 @@ class End:
         """Return pose0, twist0 and t0. Raises ArgumentError if a trajectory has failed."""
         self._require_all()
         clock, t = self.output.clock, self._time()
-        states = [self._state(link) for link in range(self.output.links)]
-        names = self.model.link_names
-        twists = self.model.from_links(dict(zip(names, (s[1] for s in states), strict=True)))
-        poses = self.model.from_links(dict(zip(names, (s[0] for s in states), strict=True)))
+        of_poses, of_twists = {}, {}
+        for link, name in enumerate(self.model.link_names):
+            rotation, place, omega, v = self.output.state_of(link)
+            of_poses[name] = pose_matrix((components(rotation), components(place)))
+            of_twists[name] = np.concatenate([omega, v], axis=1)
+            for array in (of_poses[name], of_twists[name]):
+                array.setflags(write=False)
+        poses, twists = self.model.from_links(of_poses), self.model.from_links(of_twists)
         marked: Any = EndPoses(poses) if isinstance(poses, dict) else poses.view(EndPose)
         marked.continuation = Continuation(
             self.model, self.plan, twists, t, clock, self.output.ends, self.provenance
@@ -267,18 +267,6 @@ class End:
                 "go on with one of them at a time, from its row of result.events"
             )
         return first
-
-    def _state(self, link: int) -> tuple[Array, Array]:
-        """Return poses, (n, 4, 4), and twists, (n, 6), of one link."""
-        r, place, omega, v = self.output.state_of(link)
-        poses = np.zeros((len(r), 4, 4))
-        poses[:, :3, :3] = r.reshape(-1, 3, 3)
-        poses[:, :3, 3] = place
-        poses[:, 3, 3] = 1.0
-        twists = np.concatenate([omega, v], axis=1)
-        for array in (poses, twists):
-            array.setflags(write=False)
-        return poses, twists
 
     def _require_all(self) -> None:
         failed = np.flatnonzero((self.output.status != OK) & (self.output.status != EVENT))

@@ -164,28 +164,20 @@ def _part_of(progress: Progress, number: int, runs: int) -> Progress:
 
 
 def start_and_inputs(ready: Ready) -> tuple[Start, Inputs]:
-    """Return the start whose numbers change, and the inputs."""
-    inputs = _with_poses(ready)
-    return _start_of(ready, inputs), inputs
+    """Return the start whose numbers change, and the inputs.
 
-
-def _with_poses(ready: Ready) -> Inputs:
-    """Return the inputs with the closed pose of a joint as an array, which can change."""
-    inputs = ready.inputs
-    if ready.pose0 is not None:
-        return inputs
-    (at,) = ready.model.joints  # a mechanism has poses
-    assert at.joint is not None
-    return replace(inputs, starts=inputs.starts | {"pose": at.joint.closed_pose})
-
-
-def _start_of(ready: Ready, inputs: Inputs) -> Start:
-    model, starts = ready.model, inputs.starts
-    pairs = [*zip(model.fields, model.link_names, strict=True)]
+    The closed pose of a joint is an array in these inputs, which can change.
+    """
+    model, inputs = ready.model, ready.inputs
+    if ready.pose0 is None:
+        (at,) = model.joints  # a mechanism has poses
+        assert at.joint is not None
+        inputs = replace(inputs, starts=inputs.starts | {"pose": at.joint.closed_pose})
     poses, twists = (
-        {link: starts[f"{prefix}{field}"] for prefix, link in pairs} for field in ("pose", "twist")
+        {prefix: inputs.starts[f"{prefix}{field}"] for prefix in model.fields}
+        for field in ("pose", "twist")
     )
-    return Start(model, poses, twists, inputs.time)
+    return Start(model, poses, twists, inputs.time), inputs
 
 
 def _seeds(

@@ -73,20 +73,14 @@ def integrate(
 
 
 def check_starts(
-    plan: AnyPlan,
-    inputs: Inputs,
-    times: StepClock,
-    threads: int | None,
-    check: StartCheck | None,
+    plan: AnyPlan, inputs: Inputs, times: StepClock, threads: int | None, check: StartCheck | None
 ) -> None:
     """Check the starts of all trajectories without a step; arguments as for `integrate`."""
     if check is None:
         return
     output = Output.empty(plan, inputs.count, times, False)
-    run = BlockRun(
-        plan, inputs, times, output, threads_for(threads, -(-inputs.count // plan.lanes))
-    )
-    for first, starts in run.starts():
+    used = threads_for(threads, -(-inputs.count // plan.lanes))
+    for first, starts in BlockRun(plan, inputs, times, output, used).starts():
         if not check(starts, first):
             break
 

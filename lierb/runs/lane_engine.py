@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -77,44 +77,6 @@ ONE_TIME = LaneTime(
 )
 
 
-class Workspace(NamedTuple):
-    """Per-thread workspace: results of the lanes at one time, and all work arrays."""
-
-    output: Output
-    arrays: dict[str, NDArray[Any]]
-
-
-class Events(NamedTuple):
-    """Events of a run in the order of their detection.
-
-    rows : [event][EVENT_COLUMNS, state, signals], one array for each call.   width : of a row.
-    """
-
-    rows: list[Array]
-    width: int
-
-    def add(self, events: Array) -> None:
-        """Add events. Raises MemoryLimitError if their table would not fit the memory.
-
-        The number of events is not known before the run.
-        """
-        self.rows.append(events.copy())
-        size = COPIES * sum(each.nbytes for each in self.rows)
-        remedy = "take fewer trajectories at a time, a shorter run, or an event that is rarer"
-        require_memory(size, "the table of the events so far", remedy)
-
-    @property
-    def table(self) -> Array:
-        """Events sorted by trajectory and time; events at equal times keep their order.
-
-        Events after a trajectory's end are left out.
-        """
-        rows = np.concatenate([np.zeros((0, self.width)), *self.rows])
-        rows = rows[rows[:, 0] >= 0]
-        order = np.lexsort((rows[:, 2], rows[:, 0]))
-        return np.ascontiguousarray(rows[order])
-
-
 @dataclass(frozen=True)
 class LaneRun(Run[LaneTime]):
     """A run with one clock per lane.
@@ -152,7 +114,14 @@ class LaneRun(Run[LaneTime]):
         return self.run(integrate_lanes, counter, jobs)
 
     def result(self) -> Output:
-        return replace(self.output, events=self._events.table)
+        """Return the output, with the events in order of trajectory and time.
+
+        Events at equal times keep their order; those after a trajectory's end are left out.
+        """
+        rows = np.concatenate([np.zeros((0, self._event_width)), *self._events])
+        rows = rows[rows[:, 0] >= 0]
+        order = np.lexsort((rows[:, 2], rows[:, 0]))
+        return replace(self.output, events=np.ascontiguousarray(rows[order]))
 
     @cached_property
     def arrays(self) -> dict[str, NDArray[Any]]:
@@ -170,21 +139,28 @@ class LaneRun(Run[LaneTime]):
             "step_times": self.step_times,
         }
 
+    @property
+    def _event_width(self) -> int:
+        """Numbers of an event: EVENT_COLUMNS, state, signals."""
+        state = self.output.links * POSE_AND_TWIST.count
+        return ws.EVENT_COLUMNS + state + signals_width(self.plan)
+
     @cached_property
-    def _events(self) -> Events:
-        width = self.output.links * POSE_AND_TWIST.count + signals_width(self.plan)
-        return Events([], ws.EVENT_COLUMNS + width)
+    def _events(self) -> list[Array]:
+        """Events in the order of their detection, [event][number], an array for each call."""
+        return []
 
     @cached_property
     def _counter(self) -> NDArray[np.int64]:
         return np.zeros(2, dtype=np.int64)
 
     @cached_property
-    def _workspaces(self) -> list[Workspace]:
+    def _workspaces(self) -> list[dict[str, NDArray[Any]]]:
+        """Arrays of each thread: results of the lanes at one time, and work arrays."""
         return [self._workspace() for _ in range(self.threads)]
 
-    def _workspace(self) -> Workspace:
-        plan, lanes, width = self.plan, self.plan.lanes, self._events.width
+    def _workspace(self) -> dict[str, NDArray[Any]]:
+        plan, lanes, width = self.plan, self.plan.lanes, self._event_width
         output = Output.empty(plan, lanes, ONE_TIME, with_state=False)
         watched = len(events_of(plan))
         room = max(EVENT_ROOM, 2 * ws.most_events(lanes, watched)) if watched else 0
@@ -201,7 +177,7 @@ class LaneRun(Run[LaneTime]):
             "events": np.zeros((1 + room, width)),
         }
         arrays["rows"][ws.TERMINATION] = IDLE
-        return Workspace(output, arrays | output.arrays)
+        return arrays | output.arrays
 
     @cached_property
     def _jobs(self) -> NDArray[Any]:
@@ -214,7 +190,7 @@ class LaneRun(Run[LaneTime]):
             **times.span._asdict(), **times.tolerances._asdict(),
         }  # fmt: skip
         batch = job_of(self.arrays, numbers)
-        records = [batch + job_of(self.arrays | w.arrays, numbers) for w in self._workspaces]
+        records = [batch + job_of(self.arrays | own, numbers) for own in self._workspaces]
         jobs = jobs_of(*records, per_thread=2)
         arguments = (self.arrays["inputs"][0], self._counter, jobs[0])
         jobs["serve"] = entry_of(ws.serve, ws.SERVICE, *arguments)
@@ -223,13 +199,19 @@ class LaneRun(Run[LaneTime]):
         return jobs
 
     def _take_events(self) -> None:
-        """Move the events from the workspaces to the run's list."""
+        """Move the events from the workspaces to the run's list.
+
+        Raises MemoryLimitError if their table, whose size no one knows before, would not fit.
+        """
         for workspace in self._workspaces:
-            rows = workspace.arrays["events"]
+            rows = workspace["events"]
             count = int(rows[0, 0])
             if count:
-                self._events.add(rows[1 : 1 + count])
+                self._events.append(rows[1 : 1 + count].copy())
                 rows[0, 0] = 0.0
+                size = COPIES * sum(each.nbytes for each in self._events)
+                remedy = "take fewer trajectories at a time, a shorter run, or a rarer event"
+                require_memory(size, "the table of the events so far", remedy)
 
     def _collect_exceptions(self) -> None:
         """Collect the exceptions of ended trajectories, each one once."""
@@ -238,7 +220,7 @@ class LaneRun(Run[LaneTime]):
         flags[flags > calls.COLLECTED] = calls.COLLECTED
 
     def _any_active(self) -> bool:
-        return any((w.arrays["rows"][ws.ACTIVE] > 0.0).any() for w in self._workspaces)
+        return any((own["rows"][ws.ACTIVE] > 0.0).any() for own in self._workspaces)
 
     def _done(self) -> float:
         """Return the number of finished trajectories plus the fractions of the running ones."""
@@ -246,10 +228,10 @@ class LaneRun(Run[LaneTime]):
         time = carried_columns(self.plan.code)["clock"].start  # row of the clock's t
         span = self.times.span
         for workspace in self._workspaces:
-            request, arrays = workspace.arrays["request"][0], workspace.arrays
+            request = workspace["request"][0]
             waiting += max(request[ws.SHARE_END] - request[ws.SHARE], 0.0)
-            active = arrays["rows"][ws.ACTIVE] > 0.0
+            active = workspace["rows"][ws.ACTIVE] > 0.0
             running += int(np.count_nonzero(active))
-            t = arrays["carried"][time, active]
+            t = workspace["carried"][time, active]
             share += float(((t - span.start) / (span.end - span.start)).sum())
         return min(int(self._counter[0]), self.inputs.count) - waiting - running + share

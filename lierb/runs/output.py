@@ -85,9 +85,8 @@ class Output:
     @cached_property
     def arrays(self) -> dict[str, Array]:
         """Arrays of the job record."""
-        states = {
-            field.name: a for field, a in zip(POSE_AND_TWIST.fields, self.states, strict=True)
-        }
+        fields = (field.name for field in POSE_AND_TWIST.fields)
+        states = dict(zip(fields, self.states, strict=True))
         names = (
             "summary", "history", "multipliers", "reactions", "ends", "derivatives",
             "end_derivatives",
@@ -153,8 +152,7 @@ class Output:
 
     def starts(self, first: int, stop: int) -> Array:
         """Return 1 for each trajectory whose start satisfies the joint, else 0."""
-        starts: Array = self.summary[SUMMARY.index("starts"), first:stop]
-        return starts
+        return self.summary[SUMMARY.index("starts"), first:stop]
 
     def collect_exceptions(self, chunk: Chunk, is_last: bool) -> None:
         """Collect the exceptions of a call of the driver, and free their memory."""

@@ -10,15 +10,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from lierb.errors import ArgumentError, LierbError, brief, items_of, unknown_name
-from lierb.kernels.mechanics.elements import EVERY, INITIAL, UserController
-from lierb.kernels.mechanics.rows import parameters_of
-from lierb.kernels.systems.layout import INPUTS
 from lierb.model.acting import ELEMENTS
 from lierb.model.base import Model
-from lierb.model.forces.built_in import BuiltIn
-from lierb.model.functions.elements import Element
-from lierb.model.functions.states import ExtraStates
-from lierb.model.numbers import POINTS, labelled
+from lierb.model.numbers import INERTIA, Place, labelled, places_of
 from lierb.runs.start_directions import Moved, Seeds, Start, frame_seeds, omega_units
 from lierb.support.arrays import Array
 
@@ -50,6 +44,11 @@ class Parameter(NamedTuple):
     def is_start(self) -> bool:
         """Return whether it is a pose or twist at the start."""
         return self.units is None
+
+    @property
+    def moves_start(self) -> bool:
+        """Return whether it is of a joint or a constraint, with which the start changes."""
+        return not self.is_start and len(self.fields) > 1
 
 
 def slices_of(parameters: Iterable[Parameter]) -> dict[str, slice]:
@@ -93,73 +92,26 @@ def chosen_parameters(
 
 
 def _unknown(model: Model, argument: str, name: str, known: dict[str, Parameter]) -> LierbError:
-    for element, label, _ in labelled(model):
-        for parameter in _times(element):
-            if name == f"{label}.{parameter}":
-                return ArgumentError(
-                    f"{argument}={brief(name)} determines times at which {element.name} "
-                    "jumps, by which the motion is not differentiated; leave it out"
-                )
-    return unknown_name(argument, name, known)
+    place = places_of(model).get(name)
+    if place is None or place.kind != "time":
+        return unknown_name(argument, name, known)
+    (element,) = (e.name for e, label, _ in labelled(model) if label == name.rpartition(".")[0])
+    return ArgumentError(
+        f"{argument}={brief(name)} determines times at which {element} jumps, by which the motion "
+        "is not differentiated; leave it out"
+    )
 
 
 def _parameters(model: Model) -> Iterator[Parameter]:
     """Yield all parameters of a model."""
-    prefixes = [f"{name}." if name else "" for name in model.link_names]
-    for link, prefix in enumerate(prefixes):
+    for link, owner in enumerate(model.link_names):
         for name, (count, unit) in STARTS.items():
-            seeds = partial(_start_seeds, model, link, name)
-            yield Parameter(f"{prefix}{name}", count, unit, _start_fields(model, name), seeds)
-    yield _plain("gravity", "gravity", np.eye(3), "m/s²")
-    units = {"mass": np.eye(1), "com": np.eye(3), "inertia": _symmetric_units()}
-    for field, prefix in zip(model.fields, prefixes, strict=True):
-        for name, own in units.items():
-            yield _plain(f"{prefix}body.{name}", f"{field}{name}", own, INPUTS.field(name).unit)
-    yield from _of_joints(model)
-    for each in labelled(model):
-        yield from _of_element(model, *each)
-
-
-def _of_joints(model: Model) -> Iterator[Parameter]:
-    for at, first in zip(model.joints, model.joint_fields, strict=True):
-        assert at.joint is not None
-        prefix = f"{at.name}.joint." if at.name else "joint."
-        for point, frame in POINTS.items():
-            if point == "parent_point" and not at.name:
-                continue
-            units = np.zeros((3, 1, 12))
-            units[range(3), 0, range(9, 12)] = 1.0
-            yield _geometric(model, f"{prefix}{point}", "m", {f"{first}{frame}": units})
-        for name, unit in parameters_of(at.joint.rows).items():
-            yield _geometric(model, f"{prefix}{name}", unit, {f"{first}{name}": np.ones((1, 1, 1))})
-
-
-def _of_element(model: Model, element: Element, label: str, field: str) -> Iterator[Parameter]:
-    for name, shape in element.kind.shapes.items():
-        if name in _times(element):
-            continue
-        short, unit = element.short(name), _unit(element, name)
-        seeds = {f"{field}{name}": np.eye(prod(shape))[:, None]}
-        if element.kind.rows:  # a constraint: the start must satisfy it
-            yield _geometric(model, f"{label}.{short}", unit, seeds)
-        else:
-            yield _plain(f"{label}.{short}", f"{field}{name}", np.eye(prod(shape)), unit)
-
-
-def _times(element: Element) -> tuple[str, ...]:
-    """Return the parameters of an element that determine times at which it jumps."""
-    period = (EVERY,) if isinstance(element.kind, UserController) else ()
-    return (*element.kind.discontinuities, *period)
-
-
-def _unit(element: Element, parameter: str) -> str:
-    """Return the unit of an element's parameter; empty for a user's, which is unknown."""
-    kind = element.kind
-    if isinstance(kind, BuiltIn) and parameter in kind.parameters:
-        return kind.parameters[parameter].unit
-    if isinstance(element, ExtraStates) and parameter.startswith(INITIAL):
-        return element.units.get(element.short(parameter), "1")
-    return ""
+            seeds, fields = partial(_start_seeds, model, link, name), _start_fields(model, name)
+            yield Parameter(f"{owner}.{name}" if owner else name, count, unit, fields, seeds)
+    for name, place in places_of(model).items():
+        if place.kind not in ("frame", "time"):
+            parameter = partial(_geometric, model) if place.binds else _plain
+            yield parameter(name, place.field, _units(place), place.unit)
 
 
 # ---- directions --------------------------------------------------------------------------------
@@ -171,23 +123,27 @@ def _plain(name: str, field: str, units: Array, unit: str) -> Parameter:
     return Parameter(name, len(units), unit, (field,), lambda start: seeds, units)
 
 
-def _symmetric_units() -> Array:
-    """Return the directions of a symmetric matrix, (6, 9)."""
+def _units(place: Place) -> Array:
+    """Return the changes of a field's numbers along each direction, (directions, numbers)."""
+    if place.kind == "point":
+        return np.eye(3, 12, 9)  # of the last three numbers of a frame
+    if place.shapes != INERTIA:
+        return np.eye(prod(place.shapes[0]))
     units = np.zeros((len(SYMMETRIC), 3, 3))
     for direction, (i, j) in enumerate(SYMMETRIC):
         units[direction, i, j] = units[direction, j, i] = 1.0
     return units.reshape(-1, 9)
 
 
-def _geometric(model: Model, name: str, unit: str, seeds: Seeds) -> Parameter:
+def _geometric(model: Model, name: str, field: str, units: Array, unit: str) -> Parameter:
     """Return a parameter of a joint or a constraint, with which the start changes."""
-    ((field, units),) = seeds.items()
+    seeds = {field: units[:, None]}
 
     def all_seeds(start: Start) -> Seeds:
         return seeds | _seeds_of(start, start.of_parameters(seeds))
 
     fields = field, *_start_fields(model, "pose0")
-    return Parameter(name, len(units), unit, fields, all_seeds, units[:, 0])
+    return Parameter(name, len(units), unit, fields, all_seeds, units)
 
 
 def _start_fields(model: Model, name: str) -> tuple[str, ...]:

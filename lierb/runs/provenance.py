@@ -102,15 +102,11 @@ def _described_options(*options: tuple[str, Any]) -> str:
 
 @cache
 def _described_plan(plan: AnyPlan) -> str:
-    return json.dumps(
-        {
-            **machine(),
-            "units": "SI: kg, m, s, rad, N, N m, J",
-            "lanes": DEFAULT_LANES,
-            "block": plan.lanes,
-            "tableau": plan.method.described,
-        }
-    )
+    own = {
+        "units": "SI: kg, m, s, rad, N, N m, J", "lanes": DEFAULT_LANES, "block": plan.lanes,
+        "tableau": plan.method.described,
+    }  # fmt: skip
+    return json.dumps(machine() | own)
 
 
 # JSON of each model, cached: its arrays cannot change, and digests of large arrays are slow.

@@ -26,14 +26,12 @@ from lierb.kernels.systems.layout import POSE
 from lierb.model.base import Model
 from lierb.model.connections import NOWHERE, Connection
 from lierb.model.mechanism.decomposition import DecomposedRows
-from lierb.model.mechanism.links import Link
 from lierb.model.mechanism.mechanism import Mechanism
 from lierb.model.mechanism.row_system import System, velocity_of
-from lierb.model.problem import Problem
+from lierb.model.problem import as_mechanism
 from lierb.support.arrays import Array, assembled, components, pose_components
 
 Seeds = dict[str, Array]  # by field of the inputs, (directions, n or 1, numbers)
-BODY = "body"
 
 
 class Moved(NamedTuple):
@@ -52,28 +50,23 @@ class Start:
     def __init__(
         self, model: Model, poses: Mapping[str, Array], twists: Mapping[str, Array], t0: float
     ) -> None:
-        self.model = model
+        """poses, twists : by link."""
+        self.model, self.poses, self.twists = model, [*poses.values()], [*twists.values()]
         self.t0 = np.float64(t0)
         self.with_rows = [i for i, e in enumerate(model.elements) if e.kind.rows]
-        self.poses, self.twists = ([*given.values()] for given in (poses, twists))
 
     @cached_property
     def at_rest(self) -> Start:
         """Return the same poses at rest, of which there may be fewer."""
-        zeros = {link: np.zeros(6) for link in self.model.link_names}
-        poses = dict(zip(self.model.link_names, self.poses, strict=True))
-        return Start(self.model, poses, zeros, float(self.t0))
+        links = self.model.link_names
+        poses = dict(zip(links, self.poses, strict=True))
+        return Start(self.model, poses, dict.fromkeys(links, np.zeros(6)), float(self.t0))
 
     @cached_property
     def mechanism(self) -> Mechanism:
         """Return the model as a mechanism, without elements that have no rows."""
-        model = self.model
-        motors = [force for force in model.forces if force.kind.rows]
-        rows: dict[str, Any] = {"forces": motors, "constraints": model.constraints}
-        if isinstance(model, Mechanism):
-            return Mechanism(model.links, model.loops, **rows)
-        assert isinstance(model, Problem)
-        return Mechanism(Link(BODY, model.body, model.joint), **rows)
+        motors = [force for force in self.model.forces if force.kind.rows]
+        return as_mechanism(self.model, forces=motors, constraints=self.model.constraints)
 
     def directions(self, link: int, moves: str, units: Array) -> Moved:
         """Change the start of one link along directions of its body axes.
@@ -232,17 +225,13 @@ def carried(
     twists: dict[int, Vec] = {}
     for i in mechanism.order:
         at = mechanism.joints[i]
-        p = parameters(at)
-        outside, moved = p.ground, None
+        p, relative = parameters(at), mechanism.relative(at, placed)
+        outside, twist = p.ground, mechanism.relative_twist(at, relative, moving)
         if at.parent != NOWHERE:
             outside = se3.compose(poses[at.parent], p.ground)
-        relative = mechanism.relative(at, placed)
+            twist = add(twist, mechanism.carried(at, relative, twists, p))
         poses[i] = se3.compose(se3.compose(outside, relative), se3.inverse(p.body))
-        own = mechanism.relative_twist(at, relative, moving)
-        if at.parent != NOWHERE:
-            in_parent = se3.compose(p.ground, relative)
-            moved = se3.Ad(se3.inverse(in_parent), twists[at.parent])
-        twists[i] = se3.Ad(p.body, own if moved is None else add(own, moved))
+        twists[i] = se3.Ad(p.body, twist)
     return poses, twists
 
 
@@ -268,7 +257,7 @@ class Frames:
             return p
         ends = at.body, at.parent, at.joint
         number = [(x.body, x.parent, x.joint) for x in mechanism.joints].index(ends)
-        prefix = f"{number}." if self.start.model.fields != ("",) else ""
+        prefix = self.start.model.joint_fields[number]
         return p._replace(
             ground=self._frame(f"{prefix}ground_frame", p.ground),
             body=self._frame(f"{prefix}body_frame", p.body),
@@ -280,29 +269,22 @@ class Frames:
         self, at: Connection, poses: list[Pose], twists: list[Vec]
     ) -> tuple[Kinematics, BodyConstants, Vec]:
         """Return the relative motion of a connection, its constants, and D⁻¹δD as parts."""
-        start, p = self.start, self.parameters(at)
-        outside = p.ground if at.parent == NOWHERE else se3.compose(poses[at.parent], p.ground)
-        relative = se3.compose(se3.compose(se3.inverse(outside), poses[at.body]), p.body)
-        velocity = se3.Ad(se3.inverse(p.body), twists[at.body])
-        if at.parent != NOWHERE:
-            in_parent = se3.inverse(se3.compose(p.ground, relative))
-            carried = se3.Ad(in_parent, twists[at.parent])
-            velocity = tuple(v - c for v, c in zip(velocity, carried, strict=True))
-        elements = [start.mechanism.elements[i] for i in at.elements]
+        start, mechanism, p = self.start, self.start.mechanism, self.parameters(at)
+        relative = mechanism.relative(at, poses, p)
+        velocity = mechanism.relative_twist(at, relative, twists, p)
         given = [x for i in at.elements for x in self._element(i)]
-        body = kinds.body_with(SE3, p, tuple(e.kind for e in elements), given)
+        acting = tuple(mechanism.elements[i].kind for i in at.elements)
+        body = kinds.body_with(SE3, p, acting, given)
         x = SE3.kinematics(body, relative, velocity)._replace(time=start.t0)
-        before = start.mechanism.relative(at, start.placed)
-        return x, body, _moved_in_body(before, relative)
+        return x, body, _moved_in_body(mechanism.relative(at, start.placed), relative)
 
     def _element(self, i: int) -> Iterator[Any]:
         """Yield the parameters of an element, component by component."""
-        number = self.start.with_rows[i]
-        prefix = "element" if self.start.model.fields != ("",) else ""
+        prefix = self.start.model.element_fields[self.start.with_rows[i]]
         element = self.start.mechanism.elements[i]
         for name, shape in element.kind.shapes.items():
             own = components(element.parameters[name], len(shape))
-            yield from self._numbers(f"{prefix}{number}.{name}", own)
+            yield from self._numbers(f"{prefix}{name}", own)
 
     def _frame(self, field: str, frame: Pose) -> Pose:
         numbers = self._numbers(field, (*frame[0], *frame[1]))

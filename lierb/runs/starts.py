@@ -47,9 +47,7 @@ class Ready(NamedTuple):
 
 def ready(model: Model, options: Options, pose0: Any, twist0: Any) -> Ready:
     """Validate a start and return the run that begins there."""
-    given = model.default_pose() if pose0 is None else pose0
-    poses = None if given is None else arrays_of(model, "pose0", given)
-    twists = arrays_of(model, "twist0", at_rest(model, pose0) if twist0 is None else twist0)
+    poses, twists = start_of(model, pose0, twist0)
     sizes = {model.label("pose0", link): (array, 2) for link, array in (poses or {}).items()}
     sizes |= {model.label("twist0", link): (array, 1) for link, array in twists.items()}
     count = model.batch_size(**sizes) or 1
@@ -83,24 +81,26 @@ def ready(model: Model, options: Options, pose0: Any, twist0: Any) -> Ready:
     )  # fmt: skip
 
 
-def at_rest(model: Model, pose0: Any) -> Any:
-    """Return twists of zero; raise ArgumentError if a run continues, which has a velocity."""
-    if continuation_of(pose0) is not None:
-        raise ArgumentError(
-            "pose0 is the end of a run; give its twist0 too (**result.end), or zeros to start from "
-            "rest there"
-        )
-    return model.from_links({link: np.zeros(6) for link in model.link_names})
+def start_of(model: Model, pose0: Any, twist0: Any) -> tuple[ByLink | None, ByLink]:
+    """Validate a start; return its poses, None for the closed joint, and its twists."""
+    if twist0 is None:
+        if continuation_of(pose0) is not None:  # it has a velocity
+            raise ArgumentError(
+                "pose0 is the end of a run; give its twist0 too (**result.end), or zeros to start "
+                "from rest there"
+            )
+        twist0 = model.from_links({link: np.zeros(6) for link in model.link_names})
+    given = model.default_pose() if pose0 is None else pose0
+    poses = None if given is None else arrays_of(model, "pose0", given)
+    return poses, arrays_of(model, "twist0", twist0)
 
 
 def arrays_of(model: Model, argument: str, given: Any) -> ByLink:
     """Validate the poses (argument pose0) or twists of all links; return them as arrays."""
-    values, is_pose = model.by_link(argument, given), argument.endswith("pose0")
-    if is_pose and continuation_of(given) is not None:  # the end of a run, which may have drifted
+    values = model.by_link(argument, given)
+    labels = {link: model.label(argument, link) for link in model.link_names}
+    if not argument.endswith("pose0"):
+        return {k: as_numbers(label, values[k], (6,), copy=None) for k, label in labels.items()}
+    if continuation_of(given) is not None:  # the end of a run, which may have drifted
         return {link: np.asarray(each) for link, each in values.items()}
-    return {
-        link: as_poses(model.label(argument, link), values[link], copy=None)
-        if is_pose
-        else as_numbers(model.label(argument, link), values[link], (6,), copy=None)
-        for link in model.link_names
-    }
+    return {link: as_poses(label, values[link], copy=None) for link, label in labels.items()}

@@ -71,8 +71,7 @@ def eigenvalues_at_end(run: Ready, output: Output, number: int) -> Array:
     rows = np.array([[float(x) for x in row] for row in jacobian.rows])
     if not np.isfinite(rows).all():
         return np.zeros(1)
-    eigenvalues: Array = np.linalg.eigvals(rows)
-    return eigenvalues
+    return np.linalg.eigvals(rows)
 
 
 @cache

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lierb.errors import StiffStepWarning
-from lierb.kernels.mechanics.elements import Element
+from lierb.kernels.mechanics.elements import Element, TurnCounter
 from lierb.kernels.mechanics.newton_euler import BodyConstants, Motion, Parameters, frames_of
 from lierb.kernels.numbers.arithmetic import plain
 from lierb.kernels.numbers.vec import IDENTITY, UNIT, ZERO3, scale
@@ -27,10 +27,9 @@ from lierb.kernels.numbers.zero import ZERO
 from lierb.methods import Method
 from lierb.model.base import Model
 from lierb.model.connections import Connection
-from lierb.model.mechanism.links import Link
 from lierb.model.mechanism.mechanism import Mechanism
 from lierb.model.mechanism.row_system import System
-from lierb.model.problem import Problem
+from lierb.model.problem import BODY, Problem, as_mechanism
 from lierb.runs.starts import Ready
 from lierb.runs.timing import Timing
 from lierb.support.arrays import Array, assembled, components, items_at, pose_components
@@ -43,7 +42,6 @@ Starts = dict[str, Array]  # poses or twists at the start, by link
 MOST_GROWTH = math.log(2.0)  # largest accepted log growth of a mode in a run
 FEW = 32  # batch size up to which all members are linearised
 SPREAD = 8  # evenly spaced members of a larger batch, linearised beside the stiffest ones
-BODY = "body"  # link name of a single body
 ROUNDING = 1e-14  # rounding error of log|R|
 HALVINGS = 1000  # most halvings of a step: beyond, doubles underflow
 DIGITS = 20  # binary digits of the longest stable step
@@ -63,12 +61,7 @@ def warn_of_stiff_steps(run: Ready, **options: Any) -> None:
 
 
 def stiff_steps(
-    problem: Model,
-    pose0: Any,
-    twist0: Any,
-    count: int,
-    timing: Timing,
-    goes_on: bool = False,
+    problem: Model, pose0: Any, twist0: Any, count: int, timing: Timing, goes_on: bool = False
 ) -> str:
     """Message of the warning; empty if steps are short enough or adaptive.
 
@@ -129,16 +122,16 @@ class _OwnForces:
     @classmethod
     def of(cls, problem: Model) -> _OwnForces:
         forces = [f for f in problem.forces if _is_known(f.kind) or f.kind.rows]
-        given: dict[str, Any] = {
-            "forces": forces, "constraints": problem.constraints, "states": problem.counters,
-        }  # fmt: skip
-        if isinstance(problem, Mechanism):
-            return cls(Mechanism(problem.links, problem.loops, **given), False, False)
-        assert isinstance(problem, Problem)
+        counters = [each for each in problem.states if isinstance(each.kind, TurnCounter)]
+        mechanism = as_mechanism(
+            problem, forces=forces, constraints=problem.constraints, states=counters
+        )
+        if not isinstance(problem, Problem):
+            return cls(mechanism, False, False)
         # In body axes, neither the mass matrix nor the rows of a subgroup depend on the pose.
         only_joint = problem.joint.subgroup is not None and problem.rows == problem.joint.rows
         is_alike = only_joint and all(force.kind.needs_axis for force in forces)
-        return cls(Mechanism(Link(BODY, problem.body, problem.joint), **given), True, is_alike)
+        return cls(mechanism, True, is_alike)
 
     def message(
         self, pose0: Starts, twist0: Starts, count: int, timing: Timing, goes_on: bool

@@ -43,19 +43,13 @@ def threads_for(count: int | None, blocks: int) -> int:
 
 @contextmanager
 def running(threads: int) -> Iterator[None]:
-    """Context manager: compiled code runs on `threads` threads."""
-    with _driver_lock, _thread_mask(threads), np.errstate(all="ignore"):
-        yield
-
-
-@contextmanager
-def _thread_mask(count: int) -> Iterator[None]:
-    """Context manager: this Python thread uses `count` Numba threads."""
-    before = numba.get_num_threads()
-    if count != before:
-        numba.set_num_threads(count)
-    try:
-        yield
-    finally:
-        if count != before:
-            numba.set_num_threads(before)
+    """Context manager: compiled code that this Python thread calls runs on `threads` threads."""
+    with _driver_lock, np.errstate(all="ignore"):
+        before = numba.get_num_threads()
+        if threads != before:
+            numba.set_num_threads(threads)
+        try:
+            yield
+        finally:
+            if threads != before:
+                numba.set_num_threads(before)

@@ -57,9 +57,10 @@ def timing_of(
     jumps = None if discontinuities is None else _checked_times("discontinuities", discontinuities)
     has_own_time = has_own_time or times is not None or jumps is not None
     if is_adaptive:
-        return _adaptive(
-            method, dt, start, end, save_every, int(measure_every), rtol, atol, dt_min, dt_max,
-            most, times, jumps,
+        return Timing(
+            method, 0.0 if dt is None else checked_time("dt", dt), start, end, 0,
+            int(measure_every), 0, *_tolerances(method, save_every, rtol, atol, dt_min, dt_max),
+            most, times, jumps, is_of_lanes=True,
         )  # fmt: skip
     for name, got in (("dt_min", dt_min), ("dt_max", dt_max)):
         if got is not None:
@@ -77,21 +78,10 @@ def timing_of(
     )  # fmt: skip
 
 
-def _adaptive(
-    method: Method,
-    dt: float | None,
-    start: float,
-    end: float,
-    save_every: int | None,
-    measure_every: int,
-    rtol: float | None,
-    atol: float | Mapping[str, float] | None,
-    dt_min: float | None,
-    dt_max: float | None,
-    most: float,
-    times: Array | None,
-    jumps: Array | None,
-) -> Timing:
+def _tolerances(
+    method: Method, save_every: Any, rtol: Any, atol: Any, dt_min: Any, dt_max: Any
+) -> tuple[float, tuple[float | None, ...], float, float]:
+    """Validate the options of adaptive steps; return rtol, atol, dt_min and dt_max."""
     if method.error is None:
         able = ", ".join(name for name, each in METHODS.items() if each.error is not None)
         raise ArgumentError(
@@ -104,15 +94,11 @@ def _adaptive(
             "with rtol=; give save_at=, times in s"
         )
     relative = RTOL if rtol is None else _checked_rtol(rtol)
-    first = 0.0 if dt is None else checked_time("dt", dt)
     least = 0.0 if dt_min is None else _checked_length("dt_min", dt_min, zero=True)
     longest = math.inf if dt_max is None else _checked_length("dt_max", dt_max)
     if least > longest:
         raise ArgumentError(f"dt_min={dt_min!r} s is longer than dt_max={dt_max!r} s")
-    return Timing(
-        method, first, start, end, 0, measure_every, 0, relative, _checked_atol(atol, relative),
-        least, longest, most, times, jumps, is_of_lanes=True,
-    )  # fmt: skip
+    return relative, _checked_atol(atol, relative), least, longest
 
 
 def _checked_rtol(rtol: Any) -> float:
@@ -199,7 +185,7 @@ def _checked_times(name: str, given: Any) -> Array:
 def _check_counts(save_every: Any, measure_every: Any) -> None:
     for name, every in (("save_every", save_every), ("measure_every", measure_every)):
         is_left_out = every is None and name == "save_every"
-        if not (is_left_out or (is_whole(every) and int(every or 0) >= 1)):
+        if not (is_left_out or (is_whole(every) and every >= 1)):
             raise TimeGridError(
                 f"{name}={brief(every)}; expected a whole number of steps, at least 1"
             )

@@ -18,10 +18,11 @@ from lierb.model.mechanism.mechanism import Mechanism
 from lierb.model.problem import Problem
 from lierb.runs.parameters import Parameter
 from lierb.runs.start_directions import Seeds, Start, carried
-from lierb.runs.starts import arrays_of, at_rest
+from lierb.runs.starts import start_of
 from lierb.support.arrays import Array, Which, assembled, pose_matrix
 
 Changes = Mapping[str, Array]  # by parameter: (k,), or (n, k) for each trajectory
+PosesAndTwists = tuple[dict[str, Array], dict[str, Array]]  # by link
 
 
 class Varied(NamedTuple):
@@ -47,19 +48,13 @@ class Varied(NamedTuple):
 
 def with_start(model: Model, pose0: Any, twist0: Any) -> Varied:
     """Return a model with its validated start, as arrays that stay as they are."""
-    given = model.default_pose() if pose0 is None else pose0
-    if given is None:
+    poses, twists = start_of(model, pose0, twist0)
+    if poses is None:
         (at,) = model.joints  # a mechanism has poses
         assert at.joint is not None
         poses = dict.fromkeys(model.link_names, at.joint.closed_pose)
-    else:
-        poses = arrays_of(model, "pose0", given)
-    twists = arrays_of(model, "twist0", at_rest(model, pose0) if twist0 is None else twist0)
-    return Varied(
-        model,
-        {k: np.array(x) for k, x in poses.items()},
-        {k: np.array(x) for k, x in twists.items()},
-    )
+    copies = ({k: np.array(x) for k, x in each.items()} for each in (poses, twists))
+    return Varied(model, *copies)
 
 
 class Variation:
@@ -69,6 +64,7 @@ class Variation:
         self.base, self.parameters, self.t0 = base, parameters, t0
         self.model = base.model
         self.has_rows = any(rows for _, rows in base.model.rows_by_name)
+        self.moves_poses = any(p.name.endswith("pose0") or p.moves_start for p in parameters)
 
     @cached_property
     def values(self) -> dict[str, Array]:
@@ -82,17 +78,11 @@ class Variation:
     @cached_property
     def moved(self) -> dict[str, dict[str, tuple[Array, Array]]]:
         """Return directions of the start, by parameter and link: C⁻¹δC and δV, (k, n or 1, 6)."""
-        moved = {}
+        moved, pairs = {}, [*zip(self.model.fields, self.model.link_names, strict=True)]
         with np.errstate(all="ignore"):
-            for p in self.parameters:
-                if p.is_start:
-                    seeds = p.seeds(self.start)
-                    moved[p.name] = {
-                        link: self._moved(seeds, field, link)
-                        for field, link in zip(
-                            self.model.fields, self.model.link_names, strict=True
-                        )
-                    }
+            for p in (p for p in self.parameters if p.is_start):
+                seeds = p.seeds(self.start)
+                moved[p.name] = {link: self._moved(seeds, field, link) for field, link in pairs}
         return moved
 
     def at(self, changes: Changes) -> Varied:
@@ -108,27 +98,21 @@ class Variation:
         poses, twists = self._moved_start(model, changes)
         return Varied(model, poses, twists)
 
-    def _moved_start(
-        self, model: Model, changes: Changes
-    ) -> tuple[dict[str, Array], dict[str, Array]]:
+    def _moved_start(self, model: Model, changes: Changes) -> PosesAndTwists:
         poses, twists = dict(self.base.poses), dict(self.base.twists)
-        is_geometric = any(not p.is_start and len(p.fields) > 1 for p in self.parameters)
-        if is_geometric:
+        if any(p.moves_start for p in self.parameters):
             poses, twists = self._carried(model)
-        are_poses_moved = is_geometric
         for p in (p for p in self.parameters if p.is_start):
             change = np.asarray(changes[p.name])
-            is_pose = p.name.endswith("pose0")
-            are_poses_moved |= is_pose
             for link, (turned, sped) in self.moved[p.name].items():
-                if is_pose:
+                if p.name.endswith("pose0"):
                     poses[link] = poses[link] @ se3.exp(_along(change, turned))
                 twists[link] = twists[link] + _along(change, sped)
-        if are_poses_moved and self.has_rows:
+        if self.moves_poses and self.has_rows:
             return self._closed(model, poses, twists)
         return poses, twists
 
-    def _carried(self, model: Model) -> tuple[dict[str, Array], dict[str, Array]]:
+    def _carried(self, model: Model) -> PosesAndTwists:
         """Return the start with which the relative motions in the joints stay."""
         start, links = self.start, self.model.link_names
         changed = Start(model, self.base.poses, self.base.twists, self.t0).mechanism
@@ -141,15 +125,12 @@ class Variation:
             {link: assembled(twists[i]) for i, link in enumerate(links)},
         )
 
-    def _closed(
-        self, model: Model, poses: dict[str, Array], twists: dict[str, Array]
-    ) -> tuple[dict[str, Array], dict[str, Array]]:
+    def _closed(self, model: Model, *start: dict[str, Array]) -> PosesAndTwists:
         """Return the nearest start that satisfies joints, loops and constraints."""
         assert isinstance(model, (Problem, Mechanism))
-        given = model.from_links(poses)
-        closed: Any = model.close(given, t0=self.t0)
-        moving: Any = model.from_links(twists)
-        projected: Any = model.project(moving, closed, t0=self.t0)
+        poses, twists = map(model.from_links, start)
+        closed: Any = model.close(poses, t0=self.t0)
+        projected: Any = model.project(twists, closed, t0=self.t0)
         return model.by_link("pose0", closed), model.by_link("twist0", projected)
 
     def _moved(self, seeds: Mapping[str, Array], field: str, link: str) -> tuple[Array, Array]:
@@ -178,12 +159,10 @@ def fixed_directions(variation: Variation) -> dict[str, Seeds]:
     The rates of links that no parameter names follow by least kinetic energy, which depends on
     masses: the directions are fixed, so that a start depends on its unknowns alone.
     """
-    starts = [p for p in variation.parameters if p.is_start]
-    is_geometric = any(not p.is_start and len(p.fields) > 1 for p in variation.parameters)
-    if is_geometric or any(p.name.endswith("pose0") for p in starts):
+    if variation.moves_poses:
         return {}
     with np.errstate(all="ignore"):
-        return {p.name: p.seeds(variation.start) for p in starts}
+        return {p.name: p.seeds(variation.start) for p in variation.parameters if p.is_start}
 
 
 def with_directions(
@@ -233,10 +212,5 @@ def _along(change: Array, directions: Array) -> Array:
     """
     if directions.shape[1] == 1:
         return np.asarray(change @ directions[:, 0])
-    return np.asarray(
-        np.einsum(
-            "...k,k...i->...i",
-            np.broadcast_to(change, (directions.shape[1], len(directions))),
-            directions,
-        )
-    )
+    changes = np.broadcast_to(change, (directions.shape[1], len(directions)))
+    return np.asarray(np.einsum("...k,k...i->...i", changes, directions))

@@ -11,6 +11,7 @@ from cases import top
 import lierb
 from derivatives.test_of_mechanisms import DOUBLE, double_pendulum
 from lierb.errors import ArgumentError, UnknownNameError
+from lierb.runs.parameters import parameters_by_name
 
 RUN = {"dt": 1e-2, "t_end": 0.1}
 # All that the tests of one body differentiate and record, so that they share a kernel.
@@ -64,6 +65,18 @@ def test_elements_have_the_names_of_their_columns():
     (same,) = chosen_parameters(problem, "forces.drag.linear")
     assert same.fields == ("2.linear",)
     assert chosen_parameters(problem, "problem.gravity")[0].name == "gravity"
+
+
+def test_units_of_motors_and_gears_are_those_of_their_coordinates():
+    body = lierb.bodies.sphere(0.1, mass=1.0)
+    rail = lierb.Problem(body, lierb.joints.prismatic(), forces=lierb.forces.motor(position=0.1))
+    rack = lierb.Mechanism(
+        [lierb.Link("pinion", body, lierb.joints.revolute()),
+         lierb.Link("rack", body, lierb.joints.prismatic())],
+        forces=lierb.forces.gear(2.0).on("rack", "pinion"),
+    )  # fmt: skip
+    assert parameters_by_name(rail)["motor.position"].unit == "m"
+    assert parameters_by_name(rack)["rack.gear.ratio"].unit == "m/rad"
 
 
 @pytest.mark.parametrize(

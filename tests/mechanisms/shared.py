@@ -82,7 +82,7 @@ def in_python(
         mechanism, (cspace,) * len(mechanism.links), UNSTABILISED, elements=mechanism.kinds,
         update="local", method=method.scheme(False, False), multipliers=False,
     )  # fmt: skip
-    given = dict(mechanism.quantities)
+    given = dict(mechanism.inputs)
     for i, name in enumerate(mechanism.names):
         given |= {f"{i}.pose": pose0[name], f"{i}.twist": twist0[name]}
     flat: list[float] = []

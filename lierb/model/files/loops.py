@@ -6,14 +6,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from lierb.model import joints
-from lierb.model.files.couplings import add_coupling
+from lierb.model import forces, joints
+from lierb.model.files.joint_forces import JointForces
 from lierb.model.files.parts import GROUND, Parts, Placed
 from lierb.model.files.welded_bodies import pose_of
 from lierb.support.arrays import Array
 
 if TYPE_CHECKING:
     from mujoco import MjModel
+
+COORDINATES = {"hinge": "turn", "slide": "slide"}  # by kind of MuJoCo's joint
 
 
 def add_loops(model: MjModel, placed: list[Placed], parts: Parts) -> None:
@@ -36,7 +38,7 @@ def add_loops(model: MjModel, placed: list[Placed], parts: Parts) -> None:
             parts.left_out.append(f"{label}: an equality that is not active")
             continue
         if maker is None:
-            add_coupling(model, k, label, parts)
+            _add_coupling(model, k, label, parts)
             continue
         is_by_sites = int(model.eq_objtype[k]) == int(mujoco.mjtObj.mjOBJ_SITE)
         ends = [
@@ -79,3 +81,37 @@ def _weld(data: Array, is_by_sites: bool) -> tuple[str, list[Array]]:
         return "fixed", [np.eye(4), anchor]
     anchor[:3, 3] = data[:3]
     return "fixed", [pose_of(data[3:6], data[6:10]), anchor]
+
+
+def _add_coupling(model: MjModel, k: int, label: str, parts: Parts) -> None:
+    """Add a gear for equality/joint k, y = a₀ + a₁ x, or a motor that holds y = a₀."""
+    offset, slope, *rest = (float(x) for x in model.eq_data[k][:5])
+    first, second = (int(i[k]) for i in (model.eq_obj1id, model.eq_obj2id))
+    couples = second >= 0 and slope != 0.0
+    joints = {name: joint for name, _, joint, _ in parts.links}
+    ends = []
+    for j in (first, second)[: 1 + couples]:
+        link = parts.link_of_joint[j]
+        ends.append(JointForces(model, j, link, joints[link], None))
+    lacking = [end for end in ends if not end.has_force]
+    if second >= 0 and np.any(rest):
+        parts.left_out.append(f"{label}: equality/joint with a polynomial beyond a₁")
+        return
+    if lacking:
+        parts.left_out.append(
+            f"{label}: equality/joint of {lacking[0].label}, which is part of a "
+            f"{lacking[0].joint.name} joint"
+        )
+        return
+    kinds = [COORDINATES[end.kind] for end in ends]
+    if not couples:
+        holding = forces.motor(position=ends[0].direction * offset, coordinate=kinds[0])
+        parts.forces.append(holding.on(ends[0].link))
+        return
+    ratio = ends[0].direction * slope * ends[1].direction
+    gear = forces.gear(ratio, coordinates=kinds)
+    parts.forces.append(gear.on(ends[0].link, ends[1].link))
+    if offset != 0.0:
+        parts.left_out.append(
+            f"{label}: its offset {offset:.6g}, which coordinates at the start have to have"
+        )

@@ -130,7 +130,10 @@ def _add_chain(
     """
     first, parent, label = model.body_jntadr[i], base.link, label_of(model, i)
     sequence = [*range(first, first + model.body_jntnum[i])]
-    simple = [_simple_joint(model, j) for j in sequence]
+    simple = [
+        SimpleJoint(KINDS[model.jnt_type[j]], model.jnt_axis[j].copy(), model.jnt_pos[j].copy())
+        for j in sequence
+    ]
     chain = composed(simple, base.pose)
     acting = [JointForces(model, j, label, chain[0], limit_stiffness) for j in sequence]
     if len(chain) == 1 and any(x.needs_its_axis and not x.has_force for x in acting):
@@ -159,10 +162,6 @@ def _add_forces(
         except LierbError as error:
             raise ArgumentError(f"{acting.label}: {error}") from error
         parts.left_out += acting.left_out()
-
-
-def _simple_joint(model: MjModel, j: int) -> SimpleJoint:
-    return SimpleJoint(KINDS[model.jnt_type[j]], model.jnt_axis[j].copy(), model.jnt_pos[j].copy())
 
 
 def _lacking(model: MjModel) -> Iterator[str]:

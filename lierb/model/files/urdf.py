@@ -158,7 +158,8 @@ def _add_body(robot: Robot, parent: MjsBody, link: str, joint: str, element: Ele
     body = parent.add_body(name=link, pos=position, quat=quaternion)
     axis = _numbers(_only(element, "axis", label), "xyz", 3, label, (1.0, 0.0, 0.0))
     if np.linalg.norm(axis) < SHORT and kind not in ("fixed", "floating", "spherical"):
-        raise ArgumentError(f"{label}: its axis {_listed(axis)} has no direction")
+        listed = " ".join(f"{x:.6g}" for x in axis)
+        raise ArgumentError(f"{label}: its axis {listed} has no direction")
     dynamics = _only(element, "dynamics", label)
     damping, friction = (_number(dynamics, what, label, 0.0) for what in ("damping", "friction"))
     if kind == "floating" and (damping or friction):
@@ -310,10 +311,6 @@ def _number(
 ) -> float:
     values = None if default is None else (default,)
     return float(_numbers(element, attribute, 1, label, values)[0])
-
-
-def _listed(numbers: Array) -> str:
-    return " ".join(f"{x:.6g}" for x in numbers)
 
 
 def _lacking(root: Element, links: dict[str, Element], joints: dict[str, Element]) -> Iterator[str]:

@@ -37,16 +37,10 @@ from lierb.model.forces.wrenches import *  # noqa: F403
 from lierb.model.forces.wrenches import BodyWrench as BodyWrench
 from lierb.model.functions.wrenches import Force as Force
 
-__all__: list[str] = []
-__all__ += wrenches.__all__
-__all__ += added_masses.__all__
-__all__ += springs.__all__
-__all__ += bushings.__all__
-__all__ += friction.__all__
-__all__ += stiction.__all__
-__all__ += limits.__all__
-__all__ += motors.__all__
-__all__ += gears.__all__
+__all__ = [
+    *wrenches.__all__, *added_masses.__all__, *springs.__all__, *bushings.__all__,
+    *friction.__all__, *stiction.__all__, *limits.__all__, *motors.__all__, *gears.__all__,
+]  # fmt: skip
 FORCE_UNITS = {name: UNITS[name] for name in __all__}  # units of parameters, by force
 
 

@@ -10,7 +10,7 @@ from lierb.kernels.mechanics.elements import Tangent, Wrench
 from lierb.kernels.mechanics.newton_euler import Motion
 from lierb.kernels.numbers.arithmetic import fma, sqrt
 from lierb.model.forces.built_in import Parameter
-from lierb.model.forces.joint_axes import AlongJoint, AtJoint
+from lierb.model.forces.joint_axes import AlongJoint, AtJoint, sliding
 from lierb.model.functions.wrenches import Force
 from lierb.support.arrays import as_positive
 
@@ -42,11 +42,7 @@ class SlideFriction(AlongJoint, JointFriction):
     """Friction along the joint axis."""
 
     name = "slide_friction"
-    parameters: ClassVar = {
-        "viscous": Parameter("N s/m", is_signed=False),
-        "coulomb": Parameter("N", is_signed=False),
-        "speed": Parameter("m/s"),
-    }
+    parameters: ClassVar = sliding(JointFriction.parameters)
 
 
 def joint_friction(

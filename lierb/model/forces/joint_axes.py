@@ -11,7 +11,7 @@ from lierb.kernels.numbers.arithmetic import PI, fma, rint
 from lierb.kernels.numbers.trigonometry import atan2
 from lierb.kernels.numbers.vec import ZERO3
 from lierb.kernels.numbers.zero import ZERO
-from lierb.model.forces.built_in import BuiltIn
+from lierb.model.forces.built_in import BuiltIn, Parameter
 from lierb.model.functions.named_values import require_attribute
 
 UNKNOWN = -1  # index of a state before the force is part of a model
@@ -75,3 +75,11 @@ class AlongJoint(AtJoint, is_abstract=True):
 
     def pushed(self, size: Any) -> Wrench:
         return ZERO3, (ZERO, ZERO, size)
+
+
+def sliding(parameters: dict[str, Parameter]) -> dict[str, Parameter]:
+    """Return parameters of a force about the axis with the units of a force along it."""
+    return {
+        name: each._replace(unit=each.unit.replace("N m", "N").replace("rad", "m"))
+        for name, each in parameters.items()
+    }

@@ -13,7 +13,7 @@ from lierb.kernels.mechanics.elements import Bound, Tangent, Wrench, travel_to_k
 from lierb.kernels.mechanics.newton_euler import Motion
 from lierb.kernels.numbers.arithmetic import PI, absolute, fma, maximum, minimum, where
 from lierb.model.forces.built_in import Parameter
-from lierb.model.forces.joint_axes import AlongJoint, AtJoint
+from lierb.model.forces.joint_axes import AlongJoint, AtJoint, sliding
 from lierb.model.functions.wrenches import Force
 from lierb.support.arrays import Array
 
@@ -87,12 +87,7 @@ class SlideLimit(AlongJoint, JointLimit):
 
     name = "slide_limit"
     whole_turn: ClassVar = np.inf
-    parameters: ClassVar = {
-        "lower": Parameter("m"),
-        "upper": Parameter("m"),
-        "stiffness": Parameter("N/m", is_signed=False),
-        "damping": Parameter("N s/m", is_signed=False),
-    }
+    parameters: ClassVar = sliding(JointLimit.parameters)
 
     def farther(self, half: Any) -> tuple[Any, ...]:
         """Return no kinks beyond the upper stop."""

@@ -17,7 +17,7 @@ from lierb.kernels.mechanics.newton_euler import Motion
 from lierb.kernels.numbers.arithmetic import absolute, fma
 from lierb.kernels.numbers.vec import Vec
 from lierb.model.forces.built_in import Parameter
-from lierb.model.forces.joint_axes import AlongJoint, AtJoint
+from lierb.model.forces.joint_axes import AlongJoint, AtJoint, sliding
 from lierb.model.functions.named_values import require_attribute
 from lierb.model.functions.wrenches import Force
 from lierb.support.arrays import Array, as_positive
@@ -88,15 +88,7 @@ class SlideStiction(AlongJoint, JointStiction):
 
     name = "slide_stiction"
     state_unit: ClassVar = "m"
-    parameters: ClassVar = {
-        "coulomb": Parameter("N", is_signed=False),
-        "static": Parameter("N", is_signed=False),
-        "stribeck": Parameter("m/s", is_signed=False),
-        "stiffness": Parameter("N/m", is_signed=False),
-        "damping": Parameter("N s/m", is_signed=False),
-        "viscous": Parameter("N s/m", is_signed=False),
-        "start": Parameter("m"),
-    }
+    parameters: ClassVar = sliding(JointStiction.parameters)
 
 
 def joint_stiction(

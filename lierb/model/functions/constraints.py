@@ -19,13 +19,7 @@ from lierb.kernels.mechanics import user_rows as kinds
 from lierb.kernels.numbers.arithmetic import plain
 from lierb.model.functions.decorated import Decorated, decorated
 from lierb.model.functions.elements import Element
-from lierb.model.functions.tracing import (
-    DERIVATIVES,
-    POSE,
-    VELOCITY,
-    form_of_any,
-    user_function,
-)
+from lierb.model.functions.tracing import DERIVATIVES, POSE, VELOCITY, form_of_any, user_function
 from lierb.support.arrays import Array
 
 

@@ -26,13 +26,7 @@ from lierb.model.functions.named_values import (
     shapes_of,
     values_of,
 )
-from lierb.model.functions.tracing import (
-    SIGNALS,
-    described,
-    form_of_any,
-    seen_by,
-    why_untraced,
-)
+from lierb.model.functions.tracing import SIGNALS, described, form_of_any, seen_by, why_untraced
 from lierb.support.arrays import as_positive
 
 

@@ -53,7 +53,9 @@ class Element:
 
     def checked(self) -> Self:
         """Return the element. Raises ArgumentError if its parameters do not fit."""
-        batch_size(**self.batched())
+        shapes = self.kind.shapes
+        given = {f"{self.name}.{n}": (a, len(shapes[n])) for n, a in self.parameters.items()}
+        batch_size(**given)
         self.kind.require_fit(self.parameters)
         return self
 
@@ -103,13 +105,6 @@ class Element:
         shapes = self.kind.shapes
         parameters = {n: items_at(a, which, len(shapes[n])) for n, a in self.parameters.items()}
         return replace(self, parameters=parameters)
-
-    def batched(self) -> dict[str, tuple[Array, int]]:
-        """Return the arguments for `batch_size`: each parameter with its number of item axes."""
-        return {
-            f"{self.name}.{name}": (array, len(self.kind.shapes[name]))
-            for name, array in self.parameters.items()
-        }
 
     @cached_property
     def references(self) -> tuple[Reference, ...]:

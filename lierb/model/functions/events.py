@@ -13,7 +13,7 @@ from lierb.kernels.functions.shapes import UserFunction
 from lierb.kernels.mechanics import elements as kinds
 from lierb.model.functions.decorated import Decorated, column_name, decorated
 from lierb.model.functions.elements import Element
-from lierb.model.functions.tracing import by_feeling, seen_by, user_function
+from lierb.model.functions.tracing import number_of_motion
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -81,10 +81,7 @@ class EventFunction(Decorated):
 
     def __call__(self, **parameters: ArrayLike) -> Event:
         """Make the event with these parameters, one value for all bodies or one for each."""
-        shapes = self._shapes(parameters)
-        function = user_function(
-            self.function, seen_by(self.function), shapes, ((),), form=by_feeling
-        )
+        function = number_of_motion(self.function, self._shapes(parameters))
         return Event.of(
             column_name("the event's name", function.name), kinds.UserEvent(function),
             self.defaults | parameters,

@@ -12,7 +12,7 @@ from lierb.kernels.functions.shapes import UserFunction
 from lierb.kernels.mechanics import elements as kinds
 from lierb.model.functions.decorated import Decorated, column_name, decorated, require_unit
 from lierb.model.functions.elements import Element
-from lierb.model.functions.tracing import by_feeling, seen_by, user_function
+from lierb.model.functions.tracing import number_of_motion
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -72,10 +72,7 @@ class ObservableFunction(Decorated):
     def __call__(self, **parameters: ArrayLike) -> Observable:
         """Make the observable with these parameters, one value for all bodies or one for each."""
         name = column_name("the observable's name", self.function.__name__)
-        shapes = self._shapes(parameters)
-        function = user_function(
-            self.function, seen_by(self.function), shapes, ((),), form=by_feeling
-        )
+        function = number_of_motion(self.function, self._shapes(parameters))
         kind, values = kinds.UserObservable(function), self.defaults | parameters
         return Observable.of(name, kind, values, unit=self.unit, made_by=self)
 

@@ -64,10 +64,7 @@ class StatesFunction(Decorated):
 def states(function: UserFunction, /) -> StatesFunction: ...
 @overload
 def states(
-    *,
-    unit: Mapping[str, str] = ...,
-    params: Mapping[str, ArrayLike] = ...,
-    **initial: ArrayLike,
+    *, unit: Mapping[str, str] = ..., params: Mapping[str, ArrayLike] = ..., **initial: ArrayLike
 ) -> Callable[[UserFunction], StatesFunction]: ...
 def states(function: UserFunction | None = None, /, **given: Any) -> Any:
     """Make extra states from a function: `@lierb.states(wheel=(0.0, 0.0, 0.0))`.

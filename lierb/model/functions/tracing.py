@@ -50,6 +50,12 @@ def user_function(
     return made if made.takes_signals else runnable(made, function, because)
 
 
+def number_of_motion(function: UserFunction, shapes: dict[str, Shape]) -> Function:
+    """Convert a user's function of the motion that returns a number; see `user_function`."""
+    form = partial(form_of_any, SIGNALS, further=FELT)
+    return user_function(function, seen_by(function), shapes, ((),), form=form)
+
+
 def described(
     function: UserFunction,
     arguments: tuple[str, ...],
@@ -166,7 +172,6 @@ def form_of_any(
 
 
 by_name = partial(form_of_any, SIGNALS)
-by_feeling = partial(form_of_any, SIGNALS, further=FELT)
 
 
 def seen_by(function: UserFunction) -> tuple[str, ...]:

@@ -7,17 +7,10 @@ from typing import Any
 import numpy as np
 
 from lierb.errors import ArgumentError, two_readings
-from lierb.kernels.numbers.vec import IDENTITY, ZERO3
-from lierb.model.joints.joint import Joint
-from lierb.model.joints.motions import TURNS, Motions, as_coordinates
-from lierb.support.arrays import (
-    Array,
-    Pose,
-    as_floats,
-    as_matrix,
-    as_rotations,
-    components,
-)
+from lierb.kernels.numbers.vec import IDENTITY
+from lierb.model.joints.joint import Joint, Sizes
+from lierb.model.joints.motions import TURNS, Motions
+from lierb.support.arrays import Pose, as_floats, as_matrix
 
 
 def motions_of(joint: Joint) -> Motions | None:
@@ -47,9 +40,7 @@ def is_pose(argument: str, given: Any, joint: Joint) -> bool:
     return False
 
 
-def relative_of(
-    argument: str, given: Any, joint: Joint
-) -> tuple[Pose, dict[str, tuple[Array, int]]]:
+def relative_of(argument: str, given: Any, joint: Joint) -> tuple[Pose, Sizes]:
     """Return D for a joint's coordinates or rotation, and the argument for `batch_size`."""
     motions = motions_of(joint)
     if motions is None:
@@ -68,13 +59,4 @@ def relative_of(
                 argument, shape, a_rotation_matrix="R[None]",
                 three_rotation_vectors="scipy's Rotation.from_rotvec(xi)",
             )  # fmt: skip
-    if is_turn:
-        if motions.names != TURNS:
-            raise ArgumentError(
-                f"{argument}: a {joint.name} joint takes no rotation; give its coordinates, "
-                f"{', '.join(motions.names)}"
-            )
-        turns = as_rotations(argument, given)
-        return (components(turns, 2), ZERO3), {argument: (turns, 2)}
-    numbers = as_coordinates(argument, given, motions.names)
-    return motions.pose(components(numbers)), {argument: (numbers, 1)}
+    return joint.turned(argument, given) if is_turn else joint.at_coordinates(argument, given)

@@ -42,6 +42,8 @@ from lierb.support.arrays import (
 from lierb.support.representations import Lines, Represented, quantity
 
 _quiet = np.errstate(all="ignore")  # overflow is detected in the result
+Sizes = dict[str, tuple[Array, int]]  # arguments for `batch_size`: arrays and axes of an item
+JOINT = {"ground_frame": 2, "body_frame": 2, "pitch": 0, "length": 0}  # axes of an item, by array
 MOST_ROWS = 12  # twice the freedoms of a body: a joint may be stated twice, in two ways
 
 
@@ -94,13 +96,8 @@ class Joint(Represented):
         Joint
             The joint.
         """
-        return replace(
-            self,
-            ground_frame=items_at(self.ground_frame, which, 2),
-            body_frame=items_at(self.body_frame, which, 2),
-            pitch=items_at(self.pitch, which),
-            length=items_at(self.length, which),
-        )
+        arrays: Any = {k: items_at(getattr(self, k), which, n) for k, n in JOINT.items()}
+        return replace(self, **arrays)
 
     def _representation(self) -> tuple[str, Lines]:
         title = f"{self.name} joint{self.summary and f': {self.summary}'}"
@@ -199,14 +196,15 @@ class Joint(Represented):
         )
 
     def _twist_of_rates(self, velocities: ArrayLike, pose: Any, coordinates: Any) -> Array:
-        motions, rates = self.motions, self._numbers("velocities", velocities)
+        motions, names = self.motions, self.coordinate_names
+        rates = as_coordinates("velocities", velocities, names)
         frames = self._frames
         if coordinates is None:
             placed = self._placed(pose)
             batch_size(velocities=(rates, 1), pose=(placed, 2), pitch=(self.pitch, 0), **frames)
             relative = motions.twist(components(rates), self._relative(placed))
         else:
-            given = self._numbers("coordinates", coordinates)
+            given = as_coordinates("coordinates", coordinates, names)
             batch_size(velocities=(rates, 1), coordinates=(given, 1), pitch=self.pitch, **frames)
             relative = motions.twist_at(components(rates), components(given))
         return finite("the twist", assembled(se3.Ad(pose_components(self.body_frame), relative)))
@@ -334,21 +332,28 @@ class Joint(Represented):
         if place is not None:
             coordinates, rotation = self._either(place)
         if rotation is not None:
-            if self.coordinate_names != TURNS:
-                raise ArgumentError(
-                    f"a {self.name} joint takes no rotation: its coordinates are "
-                    f"{', '.join(self.coordinate_names)}; give those"
-                )
-            turns = as_rotations("rotation", rotation)
-            batch_size(rotation=(turns, 2), **self._frames)
-            relative = components(turns, 2), ZERO3
+            relative, size = self.turned("rotation", rotation)
         else:
-            numbers = self._numbers("coordinates", coordinates)
-            batch_size(coordinates=(numbers, 1), **self._frames, pitch=self.pitch)
-            relative = self.motions.pose(components(numbers))
+            relative, size = self.at_coordinates("coordinates", coordinates)
+        batch_size(**size, **self._frames, pitch=self.pitch)
         ground, body = pose_components(self.ground_frame), pose_components(self.body_frame)
         placed = se3.compose(se3.compose(ground, relative), se3.inverse(body))
         return finite("the pose", pose_matrix(placed))
+
+    def at_coordinates(self, argument: str, given: Any) -> tuple[Pose, Sizes]:
+        """Return D for coordinates, and the argument for `batch_size`."""
+        numbers = as_coordinates(argument, given, self.coordinate_names)
+        return self.motions.pose(components(numbers)), {argument: (numbers, 1)}
+
+    def turned(self, argument: str, given: Any) -> tuple[Pose, Sizes]:
+        """Return D for a rotation, and the argument for `batch_size`."""
+        if self.coordinate_names != TURNS:
+            raise ArgumentError(
+                f"{argument}: a {self.name} joint takes no rotation: its coordinates are "
+                f"{', '.join(self.coordinate_names)}; give those"
+            )
+        turns = as_rotations(argument, given)
+        return (components(turns, 2), ZERO3), {argument: (turns, 2)}
 
     def _either(self, place: Any) -> tuple[Any, Any]:
         """Return `place` as (coordinates, None) or (None, rotation)."""
@@ -362,12 +367,8 @@ class Joint(Represented):
             )  # fmt: skip
         return (None, given) if given.ndim == 3 else (given, None)
 
-    def _numbers(self, argument: str, given: ArrayLike | None) -> Array:
-        """Return coordinates, or their rates, (k,) or (n, k)."""
-        return as_coordinates(argument, given, self.coordinate_names)
-
     @property
-    def _frames(self) -> dict[str, tuple[Array, int]]:
+    def _frames(self) -> Sizes:
         """Return the arguments for `batch_size`."""
         return {"ground_frame": (self.ground_frame, 2), "body_frame": (self.body_frame, 2)}
 

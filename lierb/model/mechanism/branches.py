@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -13,12 +13,10 @@ from lierb.model.joints.coordinates import is_rigid, motions_of
 from lierb.model.joints.motions import TURNS
 from lierb.model.mechanism.closing import closed_members, mobility
 from lierb.model.mechanism.holding import SLIDES, coordinates_of, held
+from lierb.model.mechanism.kinematics import TreeKinematics
 from lierb.model.mechanism.row_system import System
 from lierb.support.arrays import Array, components, is_whole, pose_matrix
 from lierb.support.representations import counted
-
-if TYPE_CHECKING:
-    from lierb.model.mechanism.kinematics import TreeKinematics
 
 # Assemblies that differ by less, as rotation matrices and relative to the size of the mechanism,
 # are one. At a dead point, where two meet, Newton's method ends at the root of its tolerance.

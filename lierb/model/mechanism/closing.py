@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import nullcontext
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -25,6 +25,7 @@ from lierb.kernels.numbers.arithmetic import absolute, plain, where
 from lierb.kernels.numbers.vec import Vec, add
 from lierb.model.acting import unfit_place, unfit_rate
 from lierb.model.mechanism.decomposition import summed
+from lierb.model.mechanism.kinematics import TreeKinematics
 from lierb.model.mechanism.row_system import (
     CLOSED,
     NEWTON_STEPS,
@@ -38,9 +39,6 @@ from lierb.model.mechanism.row_system import (
 )
 from lierb.support.arrays import Array, assembled, pose_components, pose_matrix
 from lierb.support.progress import reporter
-
-if TYPE_CHECKING:
-    from lierb.model.mechanism.kinematics import TreeKinematics
 
 # Damping of Newton's steps, relative to the squared residual. Of 240 starts (four-bars, a
 # Bricard linkage, up to 0.8 off in every coordinate) all converge with 0.1 to 1e-4, 229 with 1,
@@ -96,16 +94,11 @@ def _parts(mechanism: TreeKinematics, arguments: list[tuple[str, list[Array], in
     rows = sum(len(at.rows) for at in mechanism.connections)
     step = max(1, MOST_NUMBERS // max(1, rows * 6 * len(mechanism.links)))
     spread = [np.broadcast_to(x, (count, *x.shape[x.ndim - n :])) for x, n in sizes.values()]
-    return [
-        Part(
-            mechanism.part(slice(i, min(i + step, count))) if count > 1 else mechanism,
-            [x[i : i + step] for x in spread],
-            i,
-            count,
-            size is not None,
-        )
-        for i in range(0, count, step)
-    ]
+    parts = []
+    for i in range(0, count, step):
+        own = mechanism.part(slice(i, min(i + step, count))) if count > 1 else mechanism
+        parts.append(Part(own, [x[i : i + step] for x in spread], i, count, size is not None))
+    return parts
 
 
 def _joined(parts: list[list[Array]], is_batch: bool) -> list[Array]:
@@ -168,7 +161,8 @@ def _closed(part: Part, t0: float) -> tuple[list[Array], bool]:
         raise PoseError(_no_convergence(last.system, last.states, last.off, member, label))
     for s in last.states:
         for member in wrong_way(s, last.system.count)[:1].tolist():
-            raise PoseError(reversed_joint(part.mechanism, s.at, part.label("pose", member)))
+            name = name_of(part.mechanism, s.at)
+            raise PoseError(reversed_joint(part.label("pose", member), name))
     return last.arrays(part), bool(not last.was_closed.all())
 
 
@@ -342,15 +336,12 @@ def _projected(part: Part, t0: float) -> list[Array]:
     contradicted = (residual > np.max(allowed, axis=1, keepdims=True)) & is_driven[:, None]
     for member, row in np.argwhere(contradicted)[:1].tolist():
         at = [s.at for s in states for _ in s.at.rows][row]
-        raise _contradiction(part.label("twist", member), name_of(part.mechanism, at))
+        raise TwistError(
+            f"{part.label('twist', member)}: no twist satisfies {name_of(part.mechanism, at)} "
+            "beside the other joints and motors, which contradict each other; leave out a speed, "
+            "or give one that fits"
+        )
     return [np.broadcast_to(assembled(twist), (system.count, 6)) for twist in twists]
-
-
-def _contradiction(label: str, connection: str) -> TwistError:
-    return TwistError(
-        f"{label}: no twist satisfies {connection} beside the other joints and motors, which "
-        "contradict each other; leave out a speed, or give one that fits"
-    )
 
 
 def _rates(system: System, poses: list[Pose], twists: list[Vec], t0: float) -> Array:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -16,12 +16,10 @@ from lierb.model.joints import catalogue
 from lierb.model.joints.coordinates import motions_of
 from lierb.model.joints.motions import TURNS, as_coordinates
 from lierb.model.mechanism.closing import ASSEMBLIES, closed
+from lierb.model.mechanism.kinematics import TreeKinematics
 from lierb.model.mechanism.row_system import System
 from lierb.support.arrays import Array, components, pose_components, pose_matrix
 from lierb.support.progress import reporter
-
-if TYPE_CHECKING:
-    from lierb.model.mechanism.kinematics import TreeKinematics
 
 # Largest change of a held coordinate between two closed poses, rad, or relative to the size of the
 # mechanism: a step stays on the branch of the pose before.

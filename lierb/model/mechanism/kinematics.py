@@ -17,13 +17,13 @@ from lierb.kernels.groups import se3
 from lierb.kernels.mechanics import elements as kinds
 from lierb.kernels.mechanics.newton_euler import SE3, BodyConstants, Parameters
 from lierb.kernels.numbers.vec import ZERO6, Vec, add, sub
-from lierb.model.base import numbers_of, parameters_of
 from lierb.model.connections import NOWHERE, Connection
 from lierb.model.joints.coordinates import is_pose, is_rigid, motions_of, relative_of
-from lierb.model.joints.joint import Joint
+from lierb.model.joints.joint import Joint, Sizes
 from lierb.model.joints.motions import as_coordinates
 from lierb.model.mechanism.links import ByLink
 from lierb.model.mechanism.tree import Tree
+from lierb.model.numbers import numbers_of, parameters_of
 from lierb.support.arrays import (
     Array,
     Pose,
@@ -63,27 +63,31 @@ class TreeKinematics(Tree):
         given = tuple(element.kind for element in elements)
         return kinds.body_with(SE3, self.parameters(at), given, numbers_of(elements))
 
-    def relative(self, at: Connection, poses: list[Pose]) -> Pose:
-        """Relative pose D = G⁻¹ C_parent⁻¹ C B of a connection."""
-        p = self.parameters(at)
+    def relative(self, at: Connection, poses: list[Pose], p: Parameters | None = None) -> Pose:
+        """Relative pose D = G⁻¹ C_parent⁻¹ C B of a connection.   p : other parameters for it."""
+        p = p or self.parameters(at)
         ground = p.ground if at.parent == NOWHERE else se3.compose(poses[at.parent], p.ground)
         return se3.compose(se3.compose(se3.inverse(ground), poses[at.body]), p.body)
 
-    def carried(self, at: Connection, relative: Pose, twists: Mapping[int, Vec]) -> Vec:
+    def carried(
+        self, at: Connection, relative: Pose, twists: Any, p: Parameters | None = None
+    ) -> Vec:
         """Twist Ad(D⁻¹G⁻¹) V_parent of the body's joint frame if the joint were rigid.
 
-        relative : D.
+        relative : D.   p : as for `relative`.
         """
-        in_parent = se3.compose(self.parameters(at).ground, relative)
+        in_parent = se3.compose((p or self.parameters(at)).ground, relative)
         return se3.Ad(se3.inverse(in_parent), twists[at.parent])
 
-    def relative_twist(self, at: Connection, relative: Pose, twists: Any) -> Vec:
+    def relative_twist(
+        self, at: Connection, relative: Pose, twists: Any, p: Parameters | None = None
+    ) -> Vec:
         """Relative twist D⁻¹Ḋ = Ad(B⁻¹) V − Ad(D⁻¹G⁻¹) V_parent of a connection.
 
-        relative : D.
+        relative : D.   p : as for `relative`.
         """
-        own = se3.Ad(se3.inverse(self.parameters(at).body), twists[at.body])
-        return own if at.parent == NOWHERE else sub(own, self.carried(at, relative, twists))
+        own = se3.Ad(se3.inverse((p or self.parameters(at)).body), twists[at.body])
+        return own if at.parent == NOWHERE else sub(own, self.carried(at, relative, twists, p))
 
     # ---- arguments by link -----------------------------------------------------------------------
 
@@ -160,7 +164,7 @@ class TreeKinematics(Tree):
         """
         given = self.by_link("coordinates", coordinates, is_whole=False)
         poses: dict[int, Pose] = {}
-        sizes = {}
+        sizes: Sizes = {}
         for i in self.order:
             link, joint = self.links[i], self.links[i].joint
             argument = f"coordinates[{link.name!r}]"
@@ -178,7 +182,6 @@ class TreeKinematics(Tree):
             local = se3.compose(se3.compose(ground, relative), se3.inverse(body))
             parent = self.parents[i]
             poses[i] = local if parent == NOWHERE else se3.compose(poses[parent], local)
-        self.batch_size(**sizes)
         return _alike({n: pose_matrix(poses[i]) for i, n in enumerate(self.names)}, "pose", 2)
 
     @_quiet

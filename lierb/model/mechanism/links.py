@@ -118,10 +118,8 @@ class Loop(Represented):
             )
 
     def _representation(self) -> tuple[str, Lines]:
-        return (
-            f"lierb.Loop {self.name}: {self.joint.name} joint of {self.body} to {self.parent}",
-            (),
-        )
+        title = f"lierb.Loop {self.name}: {self.joint.name} joint of {self.body} to {self.parent}"
+        return title, ()
 
 
 def _require_name(what: str, name: Any) -> None:

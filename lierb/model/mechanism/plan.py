@@ -10,7 +10,7 @@ from typing import Any
 import numba
 import numpy as np
 
-from lierb.errors import ArgumentError, brief, require_name, unknown_name
+from lierb.errors import ArgumentError, require_name
 from lierb.kernels.mechanics.rows import FIXED
 from lierb.kernels.mechanics.subgroup import Slots, slots_of
 from lierb.kernels.mechanics.tree import FREE, GROUND, MASSLESS, NONE, Connection, Node
@@ -20,7 +20,6 @@ from lierb.kernels.systems.tree_table import joint_kind_of
 from lierb.kernels.tracing.cpu import DEFAULT_LANES
 from lierb.model.connections import NOWHERE
 from lierb.model.formulation import TREE_SOLVERS, CSpace, Formulation, stabilisation_of
-from lierb.model.joints.joint import Joint
 from lierb.model.joints.joint_type import JOINTS
 from lierb.model.mechanism.tree import Tree
 
@@ -33,13 +32,8 @@ UNROLLED_NODES = 7  # with more, loops over the nodes are as fast as unrolled co
 def cspaces_of(mechanism: Tree, cspace: CSpace) -> tuple[str, ...]:
     """Return the c-space of each link. Raises ArgumentError for an invalid name or body."""
     if isinstance(cspace, Mapping):
-        for name in cspace:
-            if name not in mechanism.names:
-                raise unknown_name("cspace", str(name), mechanism.names)
-        lacking = [name for name in mechanism.names if name not in cspace]
-        if lacking:
-            raise ArgumentError(f"cspace={brief(dict(cspace))} lacks {', '.join(lacking)}")
-        spaces = tuple(cspace[name] for name in mechanism.names)
+        given = mechanism.by_link("cspace", cspace)
+        spaces = tuple(given[name] for name in mechanism.names)
         for name in spaces:
             require_name("cspace of a link", name, CSPACES[1:])
     else:
@@ -83,6 +77,7 @@ def mechanism_plan_of(
     """Return the plan of a mechanism with a c-space for each link."""
     tree: list[Node] = []
     nodes = {NOWHERE: GROUND}  # node index by link index
+    doubled = set()  # links that two nodes connect with their parents
     for i in mechanism.order:
         joint, parent = mechanism.links[i].joint, nodes[mechanism.parents[i]]
         if cspaces[i] != "reduced":
@@ -91,19 +86,15 @@ def mechanism_plan_of(
             first, last = (_only(factor.slot) for factor in joint.factors)
             tree.append(Node(parent, MASSLESS, "reduced", first, ()))
             tree.append(Node(len(tree) - 1, i, "reduced", last, ()))
-        elif is_group(joint):
+            doubled.add(i)
+        elif joint.subgroup is not None or slots_of(joint.rows) == (FIXED,) * 6:
             tree.append(Node(parent, i, "reduced", slots_of(joint.rows), ()))
         else:
             tree.append(Node(parent, i, "reduced", FREE, joint.rows))
         nodes[i] = len(tree) - 1
+    hanging = {*range(len(mechanism.links))} - doubled
     joints = [
-        Connection(
-            nodes[c.body],
-            nodes[c.parent],
-            c.rows,
-            i < len(mechanism.links) and _hangs(mechanism, i, cspaces),
-            i,
-        )
+        Connection(nodes[c.body], nodes[c.parent], c.rows, i in hanging, i)
         for i, c in enumerate(mechanism.joints)
     ]
     numbers = {each.name: i for i, each in enumerate(mechanism.links_and_loops)}
@@ -122,12 +113,8 @@ def mechanism_plan_of(
         stabilisation=stabilisation,
         **described,
     )
-    return looped(plan) if solver == "looped" or (solver == "auto" and loops_pay(plan)) else plan
-
-
-def loops_pay(plan: MechanismPlan) -> bool:
-    """Return whether loops over the nodes are fast, and possible."""
-    return len(plan.tree) > UNROLLED_NODES and not why_unrolled(plan)
+    is_large = solver == "auto" and len(tree) > UNROLLED_NODES
+    return looped(plan) if solver == "looped" or (is_large and not why_unrolled(plan)) else plan
 
 
 def why_unrolled(plan: MechanismPlan) -> str:
@@ -169,16 +156,6 @@ def _catalogue() -> tuple[JointKind, ...]:
         elif joint.subgroup:
             kinds.append(JointKind(Kind(slots_of(joint.rows)), joint.rows))
     return tuple(dict.fromkeys(kinds))
-
-
-def is_group(joint: Joint) -> bool:
-    """Return whether the joint's motions are a subgroup of SE(3), including the trivial one."""
-    return joint.subgroup is not None or slots_of(joint.rows) == (FIXED,) * 6
-
-
-def _hangs(mechanism: Tree, i: int, cspaces: tuple[str, ...]) -> bool:
-    """Return whether a link and its parent are connected by a single node."""
-    return cspaces[i] != "reduced" or not mechanism.links[i].joint.factors
 
 
 def _only(slot: int) -> Slots:

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from lierb.errors import ArgumentError
-from lierb.model.base import rigid_of
 from lierb.model.joints.coordinates import motions_of
 from lierb.model.mechanism.kinematics import TreeKinematics
+from lierb.model.numbers import rigid_of
 from lierb.support.arrays import components
 
 LEAST = 1e-9  # smallest eigenvalue of a regular mass matrix with ones on its diagonal
@@ -25,14 +25,10 @@ def require_regular(mechanism: TreeKinematics, names: list[str]) -> None:
         if (motions := motions_of(link.joint))
         for rate in np.eye(len(motions.names))
     ]
-    momenta = [
-        np.concatenate(
-            [rigid_of(x.body).momentum(components(twist[x.name])) for x in mechanism.links]
-        )
-        for _, twist in moves
-    ]
-    twists = [np.concatenate([twist[x.name] for x in mechanism.links]) for _, twist in moves]
-    mass = np.array(twists) @ np.array(momenta).T
+    mass = np.zeros((len(moves), len(moves)))
+    for x in mechanism.links:
+        twists = np.array([twist[x.name] for _, twist in moves])
+        mass += twists @ np.array(rigid_of(x.body).momentum(components(twists)))
     scale = 1.0 / np.sqrt(np.diag(mass))
     values, vectors = np.linalg.eigh(scale[:, None] * mass * scale)
     if values[0] < LEAST:

@@ -7,38 +7,21 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from functools import cached_property, reduce
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from lierb.kernels.groups import se3
 from lierb.kernels.mechanics.constraints import position_error_squared, rotation_error_squared
-from lierb.kernels.mechanics.newton_euler import (
-    SE3,
-    BodyConstants,
-    Kinematics,
-    Parameters,
-    Pose,
-)
+from lierb.kernels.mechanics.newton_euler import SE3, BodyConstants, Kinematics, Parameters, Pose
 from lierb.kernels.mechanics.rows import Row
 from lierb.kernels.mechanics.scale import ROUNDING, bearings, length_of, rounding_of
 from lierb.kernels.numbers.arithmetic import maximum, plain, sqrt
-from lierb.kernels.numbers.vec import (
-    Vec,
-    add,
-    cross,
-    cross_add,
-    mat_vec,
-    neg,
-    norm,
-    sub,
-)
+from lierb.kernels.numbers.vec import Vec, add, cross, cross_add, mat_vec, neg, norm, sub
+from lierb.model.connections import Connection
 from lierb.model.mechanism.decomposition import DecomposedRows, Metric
+from lierb.model.mechanism.kinematics import TreeKinematics
 from lierb.support.arrays import Array, assembled
-
-if TYPE_CHECKING:
-    from lierb.model.connections import Connection
-    from lierb.model.mechanism.kinematics import TreeKinematics
 
 NEWTON_STEPS = 50  # starts that converge do so quadratically, in 4 to 6 steps
 CLOSED = 1e-13  # rad, or relative to the problem's length: residual due to rounding
@@ -217,11 +200,11 @@ def wrong_way(s: ConnectionState, count: int) -> Any:
     return np.flatnonzero(against)
 
 
-def reversed_joint(mechanism: TreeKinematics, at: Connection, label: str) -> str:
-    """Message for a joint that is half a turn off."""
+def reversed_joint(label: str, name: str, turned: str = "a link") -> str:
+    """Message for a joint that is half a turn off.   turned : what can be turned."""
     return (
-        f"{label} holds {name_of(mechanism, at)} the wrong way round, half a turn off, which no "
-        "row sees; turn a link or one of the joint's frames by 180°"
+        f"{label} holds {name} the wrong way round, half a turn off, which no row sees; turn "
+        f"{turned} or one of the joint's frames by 180°"
     )
 
 

@@ -32,6 +32,7 @@ from lierb.model.mechanism.row_system import (
     errors_of,
     name_of,
     one_of,
+    reversed_joint,
     wrong_way,
 )
 from lierb.support.arrays import Array, as_poses, components, items_at, pose_components
@@ -168,10 +169,7 @@ def _pose_violation(start: Start, name: str, h: ConnectionState) -> PoseError | 
     if unfit := unfit_positions([h], start.time):
         return unfit
     for member in wrong_way(h, start.members.size)[:1].tolist():
-        return PoseError(
-            f"{start.members.label('pose0', member)} holds {name} the wrong way round, half a turn "
-            f"off, which no row sees; turn {start.turned} or one of the joint's frames by 180°"
-        )
+        return PoseError(reversed_joint(start.members.label("pose0", member), name, start.turned))
     tolerances = START_TOLERANCE * h.length + h.rounding, START_TOLERANCE
     for (what, unit, size), allowed in zip(errors_of(h), tolerances, strict=True):
         for member in _beyond(size, allowed, start.members.size):

@@ -9,34 +9,26 @@ from typing import Any, Self
 
 from numpy.typing import ArrayLike
 
-from lierb.errors import ArgumentError, ForceError, brief, items_of, unknown_name
+from lierb.errors import ArgumentError, ForceError, brief, unknown_name
 from lierb.kernels.functions.shapes import UserFunction
 from lierb.kernels.mechanics.rows import Rows
-from lierb.model.acting import fitted, require
-from lierb.model.base import Model
+from lierb.model.acting import all_of, fitted
+from lierb.model.base import Model, OfBody, OfJoint
 from lierb.model.bodies.body import Body
 from lierb.model.connections import NOWHERE, Connection
 from lierb.model.functions.constraints import Constraint
 from lierb.model.functions.controllers import Controller
-from lierb.model.functions.decorated import reject_functions
 from lierb.model.functions.elements import Element
 from lierb.model.functions.events import Event
 from lierb.model.functions.ground_motion import MovingGround
 from lierb.model.functions.observables import Observable
 from lierb.model.functions.states import ExtraStates
 from lierb.model.functions.wrenches import Force
+from lierb.model.joints.joint import JOINT
 from lierb.model.mechanism.links import GROUND, Link, Loop, Site
-from lierb.model.numbers import Numbers, body_with, joint_with
-from lierb.support.arrays import (
-    Array,
-    Which,
-    as_numbers,
-    items_at,
-)
+from lierb.model.numbers import BODY, labelled
+from lierb.support.arrays import as_numbers
 from lierb.support.representations import Lines, counted, quantity
-
-BODY = {"mass": 0, "inertia": 2, "com": 1}  # number of axes of an item, by name of the array
-JOINT = {"ground_frame": 2, "body_frame": 2, "pitch": 0, "length": 0}
 
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
@@ -65,8 +57,8 @@ class Tree(Model):
         ground_motion: MovingGround | UserFunction | None = None,
     ) -> None:
         self._set(
-            links=_all_of("links", links, Link, "lierb.Link"),
-            loops=_all_of("loops", loops, Loop, "lierb.Loop"),
+            links=all_of("links", links, Link, "lierb.Link(…)", "lierb.Links"),
+            loops=all_of("loops", loops, Loop, "lierb.Loop(…)", "lierb.Loops"),
             gravity=as_numbers("gravity", gravity, (3,)),
             sites=_sites_of(sites or {}),
         )
@@ -190,18 +182,6 @@ class Tree(Model):
             raise unknown_name("link", name, self.names)
         return self.links[self.numbers[name]]
 
-    @cached_property
-    def quantities(self) -> dict[str, Array]:
-        """Numbers of the mechanism, by the fields of `tree_inputs.inputs_of` of the kernels."""
-        numbers: dict[str, Array] = {"gravity": self.gravity}
-        for i, link in enumerate(self.links):
-            numbers |= {f"{i}.{name}": getattr(link.body, name) for name in BODY}
-        for field, each in zip(self.joint_fields, self.links_and_loops, strict=True):
-            numbers |= {f"{field}{name}": getattr(each.joint, name) for name in JOINT}
-        for field, element in zip(self.element_fields, self.elements, strict=True):
-            numbers |= {f"{field}{name}": x for name, x in element.parameters.items()}
-        return numbers
-
     # ---- connections and elements ----------------------------------------------------------------
 
     @cached_property
@@ -233,21 +213,10 @@ class Tree(Model):
                 places.append(Connection(element.name, *ends, None, rows, (i,)))
         return tuple(places)
 
-    def name_of(self, element: int) -> str:
-        """Prefix of an element's columns: link.element, with a number if there are several."""
-        names = [f"{each.at[0]}.{each.name}" for each in self.elements]
-        name = names[element]
-        before = names[:element].count(name)
-        return f"{name}_{before + 1}" if names.count(name) > 1 else name
-
     @cached_property
     def connections(self) -> tuple[Connection, ...]:
         """Connections with constraint rows: joints, loops, constraints and motors."""
         return tuple(c for c in (*self.joints, *self.places) if c.rows)
-
-    def _fitted(self, label: str, given: Any, kind: type[Element]) -> tuple[Any, ...]:
-        elements = _all_of(label, given, kind, f"{kind.words[1]} made by lierb")
-        return tuple(self._placed(f"{label}[{i}]", e) for i, e in enumerate(elements))
 
     def _placed(self, label: str, element: Element) -> Any:
         """Return the element on its links; raise if it has none or cannot act there."""
@@ -295,6 +264,7 @@ class Tree(Model):
 
     default_cspace = "reduced"
     flags_starts = False
+    element_prefix = "element"
 
     @property
     def link_names(self) -> tuple[str, ...]:
@@ -308,21 +278,14 @@ class Tree(Model):
     def joint_fields(self) -> tuple[str, ...]:
         return tuple(f"{i}." for i in range(len(self.links_and_loops)))
 
-    @cached_property
-    def element_fields(self) -> tuple[str, ...]:
-        return tuple(f"element{i}." for i in range(len(self.elements)))
-
     @property
     def bodies(self) -> tuple[Body, ...]:
         return tuple(link.body for link in self.links)
 
-    @property
-    def inputs(self) -> dict[str, Array]:
-        return self.quantities
-
     @cached_property
     def rows_by_name(self) -> tuple[tuple[str, Rows], ...]:
-        added = ((self.name_of(k), c.rows) for k, c in enumerate(self.places))
+        places = zip(labelled(self), self.places, strict=True)
+        added = ((label, place.rows) for (_, label, _), place in places)
         return (*((each.name, each.joint.rows) for each in self.links_and_loops), *added)
 
     @property
@@ -350,43 +313,15 @@ class Tree(Model):
 
     # ---- arguments -------------------------------------------------------------------------------
 
-    @property
-    def _structure(self) -> tuple[Any, ...]:
-        return self.links, self.loops, self.gravity
-
-    def _structure_with(self, numbers: Numbers) -> tuple[Any, ...]:
-        joints = [
-            joint_with(each.joint, numbers, field)
-            for field, each in zip(self.joint_fields, self.links_and_loops, strict=True)
-        ]
+    def _structure(self, body: OfBody, joint: OfJoint) -> tuple[Any, Any]:
+        fields = zip(self.joint_fields, self.links_and_loops, strict=True)
+        joints = [joint(each.joint, field) for field, each in fields]
         links = [
-            replace(x, body=body_with(x.body, numbers, field, x.name), joint=joint)
-            for field, x, joint in zip(self.fields, self.links, joints, strict=False)
+            replace(x, body=body(x.body, field, x.name), joint=of_link)
+            for field, x, of_link in zip(self.fields, self.links, joints, strict=False)
         ]
-        loops = [
-            replace(x, joint=joint)
-            for x, joint in zip(self.loops, joints[len(self.links) :], strict=True)
-        ]
-        return links, loops, numbers.get("gravity", self.gravity)
-
-    def _structure_of(self, which: Which) -> tuple[Any, ...]:
-        return (
-            [Link(x.name, x.body.of(which), x.joint.of(which), x.parent) for x in self.links],
-            [Loop(x.name, x.joint.of(which), x.body, x.parent) for x in self.loops],
-            items_at(self.gravity, which, 1),
-        )
-
-    @property
-    def _arguments(self) -> dict[str, tuple[Array, int]]:
-        entries: dict[str, tuple[Array, int]] = {"gravity": (self.gravity, 1)}
-        for link in self.links:
-            entries |= {f"{link.name}.{k}": (getattr(link.body, k), n) for k, n in BODY.items()}
-        for each in self.links_and_loops:
-            entries |= {f"{each.name}.{k}": (getattr(each.joint, k), n) for k, n in JOINT.items()}
-        for number, element in enumerate(self.elements):
-            for name, entry in element.batched().items():
-                entries[f"{'.'.join(element.at)}.{name}[{number}]"] = entry
-        return entries
+        of_loops = zip(self.loops, joints[len(links) :], strict=True)
+        return links, [replace(x, joint=of_loop) for x, of_loop in of_loops]
 
     def _representation(self) -> tuple[str, Lines]:
         rows = [
@@ -412,14 +347,6 @@ def _sites_of(sites: Mapping[str, Any]) -> dict[str, Site]:
         name: Site(link, as_numbers(f"site {name}: pose", pose, (4, 4)))
         for name, (link, pose) in sites.items()
     }
-
-
-def _all_of(argument: str, given: Any, kind: type, expected: str) -> Any:
-    items = items_of(argument, given, f"{expected}s") if isinstance(given, Iterable) else (given,)
-    for number, item in enumerate(items):
-        reject_functions(f"{argument}[{number}]", item)
-        require(f"{argument}[{number}]", item, kind, f"{expected}(…)")
-    return items
 
 
 def _joint_text(each: Link | Loop, lines: Lines) -> str:
