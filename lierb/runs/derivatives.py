@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from lierb.errors import ArgumentError
-from lierb.kernels.systems.layout import DIRECTIONS, Columns
+from lierb.kernels.systems.layout import FEW_DIRECTIONS, MANY_DIRECTIONS, Columns
 from lierb.kernels.systems.plan import AnyPlan, MechanismPlan
 from lierb.kernels.systems.signals import events_of
 from lierb.kernels.systems.state import EVENT
@@ -126,18 +126,18 @@ def integrate_with_derivatives(
 ) -> tuple[Output, Derivatives]:
     """Run all trajectories once for every few directions; arguments of `engine.integrate`.
 
-    One direction alone has a kernel of its own: a run with three takes twice as long. The values of
-    all these runs are the same, to the bit, as those of a run without derivatives.
+    The values of all these runs are the same, to the bit, as those of a run without derivatives.
     """
     plan = ready.plan
     start, inputs = start_and_inputs(ready)
     names = [field.name for field, _ in inputs.columns]
     moving = fields_of(parameters, names)
-    if isinstance(plan, MechanismPlan) and plan.is_in_memory:  # its code looks them up by column
+    is_looped = isinstance(plan, MechanismPlan) and plan.is_in_memory
+    if is_looped:  # its code looks them up by column
         moving = tuple(names[: names.index("state")])
     with np.errstate(all="ignore"):  # of starts that violate their joints, which are refused later
         directions = all_directions(parameters, start)
-    abreast = 1 if len(directions) == 1 else DIRECTIONS
+    abreast = _abreast(len(directions), is_looped)
     differentiated = plan_with_derivatives(plan, moving, abreast)
     starts = range(0, len(directions), abreast)
     whole: Output | None = None
@@ -154,6 +154,16 @@ def integrate_with_derivatives(
     assert whole is not None
     whole = replace(whole, plan=plan)
     return whole, _together(ready, differentiated, parameters, whole, rows, ends)
+
+
+def _abreast(directions: int, is_looped: bool) -> int:
+    """Return the number of directions of one run: each number has a kernel of its own.
+
+    A run along one direction takes half as long as one along three.
+    """
+    if directions == 1:
+        return 1
+    return FEW_DIRECTIONS if directions <= FEW_DIRECTIONS or is_looped else MANY_DIRECTIONS
 
 
 def _part_of(progress: Progress, number: int, runs: int) -> Progress:

@@ -260,6 +260,16 @@ def repeat(start: Any, turn: Turn, most: int, like: Number) -> tuple[Any, Any, A
     return numbers, is_unfinished, turns
 
 
+@overridable
+def for_rows(like: Number, formula: Callable[..., Any], *rows: tuple[Any, ...]) -> list[Any]:
+    """Return formula(*row) for each row; traced code has the formula once, in a loop over the rows.
+
+    rows : several rows of numbers, of equal length.   like : sets the kind of all numbers, as in
+    `repeat`.   formula : its result is a tuple of numbers.
+    """
+    return [formula(*row) for row in rows]
+
+
 def apart(count: int) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
     """Decorate a formula that traced code calls as a function instead of inlining it.
 

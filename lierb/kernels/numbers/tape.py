@@ -1,21 +1,21 @@
-"""A tape records the linear part of a formula, to be evaluated backwards.
+"""A tape records the linear part of a formula, to be evaluated along directions, or backwards.
 
 A formula on `Dual` numbers whose parts are `Linear` computes its values as ever. The parts are no
 numbers but places on a tape: a list of linear operations, whose coefficients are those values. From
-the gains of an objective by the formula's results the tape gives its gains by the inputs. This is
-the transposed Jacobian times a vector, in as many operations as the formula's derivative along one
-direction.
+parts of the inputs the tape gives those of the results, the Jacobian times a vector. From the gains
+of an objective by the formula's results it gives those by the inputs, the transposed Jacobian times
+a vector, in as many operations.
 
 Griewank and Walther, Evaluating Derivatives (2008), chapter 6.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from functools import partial
 from typing import Any, NamedTuple
 
-from lierb.kernels.numbers.arithmetic import fma, where
+from lierb.kernels.numbers.arithmetic import fma, for_rows, where
 from lierb.kernels.numbers.dual import Dual, parts_of
 from lierb.kernels.numbers.number import Number
 from lierb.kernels.numbers.zero import ZERO, is_zero
@@ -29,6 +29,18 @@ class Operation(NamedTuple):
 
     terms: tuple[tuple[Any, int], ...]
     mask: Any = None
+
+    def of(self, known: Mapping[int, Any]) -> Any:
+        """Return the result.   known : numbers by place."""
+        (factor, x), *others = self.terms
+        if self.mask is not None:
+            return where(self.mask, known[x], known[others[0][1]])
+        if not others:
+            return -known[x] if type(factor) is float and factor == -1.0 else factor * known[x]
+        ((second, y),) = others
+        if factor is not None:
+            return fma(factor, known[x], known[y])
+        return known[x] + known[y] if second is None else known[x] - known[y]
 
 
 class Tape:
@@ -82,6 +94,30 @@ class Tape:
                 else:
                     add(x, factor * gain)
         return [gained.get(place, ZERO) for place in self.inputs]
+
+    def derivatives(
+        self, results: list[Linear], rows: list[tuple[Any, ...]], like: Number
+    ) -> list[tuple[Any, ...]]:
+        """Return results of the formula along several directions, [direction][result].
+
+        rows : numbers of all inputs, [direction][input].   like : as for `for_rows`.
+        """
+        needed, waiting = set[int](), [x.place for x in results]
+        while waiting:
+            place = waiting.pop()
+            if place not in needed:
+                needed.add(place)
+                waiting += [x for _, x in self.operations[place].terms if x != NOWHERE]
+        used = [i for i, place in enumerate(self.inputs) if place in needed]
+
+        def along(*numbers: Any) -> tuple[Any, ...]:
+            known = dict(zip([self.inputs[i] for i in used], numbers, strict=True))
+            known[NOWHERE] = 0.0
+            for place in sorted(needed - known.keys()):
+                known[place] = self.operations[place].of(known)
+            return tuple(known[x.place] for x in results)
+
+        return for_rows(like, along, *(tuple(row[i] for i in used) for row in rows))
 
     def replace(self, first: int, last: int, replaced: Callable[[Any], Any]) -> None:
         """Replace the factors and masks of some operations."""

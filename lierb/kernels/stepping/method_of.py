@@ -14,7 +14,9 @@ from lierb.kernels.stepping.rattle import Rattle
 from lierb.kernels.stepping.rosenbrock import Rosenbrock
 from lierb.kernels.stepping.runge_kutta import ExplicitRungeKutta
 from lierb.kernels.stepping.shake import Shake
+from lierb.kernels.stepping.taped import TapedMethod
 from lierb.kernels.stepping.verlet import Verlet
+from lierb.kernels.systems.layout import FEW_DIRECTIONS
 from lierb.kernels.systems.plan import AnyPlan
 from lierb.kernels.systems.scheme import (
     AlphaScheme,
@@ -41,5 +43,9 @@ FAMILIES: dict[type[Scheme], Callable[[Any], Method]] = {
 @lru_cache(256)
 def method_of(plan: AnyPlan) -> Method:
     """Return the method of a plan, of the family of its scheme."""
-    method = FAMILIES[type(plan.method)](plan.method)
-    return DifferentiableMethod(method) if plan.moving and not plan.is_explicit else method
+    method: Method = FAMILIES[type(plan.method)](plan.method)
+    if plan.moving and not plan.is_explicit:
+        method = DifferentiableMethod(method)
+    if plan.directions > FEW_DIRECTIONS:
+        method = TapedMethod(method, plan.is_continuous)
+    return method

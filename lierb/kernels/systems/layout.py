@@ -98,10 +98,15 @@ POSE_AND_TWIST = Columns(
 )
 
 
-# Directions of derivatives of one run, if there are several. Measured on znver4, RK4 of a heavy
-# top, as multiples of a run without: a run of 2, 3, 4 and 6 directions takes 3.6, 4.9, 6.3 and 9.0;
-# 12 directions in such runs take 22, 20, 19 and 18. The code grows likewise.
-DIRECTIONS = 3
+# Directions of derivatives of one run, if there are several: few by dual numbers, or many in a loop
+# (`lierb.kernels.stepping.taped`). Measured on an Emerald Rapids, as multiples of a run without:
+#                              3 directions       6             12: in runs of 3, of 6
+#   RK4, heavy top             3.9, by loop 4.5   by loop 7.2   18.6, 19.3
+#   DOP853, heavy top          4.7, by loop 4.3   by loop 6.5   21.7, 16.3
+#   RK4, double pendulum       5.6, by loop 4.2   by loop 8.3   24.7, 19.1
+#   DOP853, double pendulum    3.6, by loop 4.0   by loop 6.5   18.3, 18.0
+# Runs of 12 take 14 to 21, but compile for twice as long.
+FEW_DIRECTIONS, MANY_DIRECTIONS = 3, 6
 
 LANE_SUMMARY = Columns(
     Field("t", (), "s"), Field("steps"), Field("rejected"), Field("dt_last", (), "s")

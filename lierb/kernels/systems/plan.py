@@ -13,7 +13,7 @@ from lierb.kernels.mechanics.newton_euler import CSPACES, SE3, SO3xR3
 from lierb.kernels.mechanics.rows import Row, Rows
 from lierb.kernels.mechanics.tree import GROUND, Connection, Node
 from lierb.kernels.mechanics.tree_nodes import JointKind, Kind
-from lierb.kernels.systems.layout import DIRECTIONS
+from lierb.kernels.systems.layout import FEW_DIRECTIONS
 from lierb.kernels.systems.scheme import ExplicitScheme, Scheme, StagedScheme
 
 UPDATES = ("local", "global", "ambient")
@@ -46,7 +46,7 @@ class AnyPlan(Tag):
     interpolates: bool = False
     jumps: bool = False
     moving: tuple[str, ...] = ()
-    abreast: int = DIRECTIONS
+    abreast: int = FEW_DIRECTIONS
 
     if TYPE_CHECKING:
 

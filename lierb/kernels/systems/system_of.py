@@ -9,7 +9,7 @@ from typing import Any, cast
 from lierb.kernels.mechanics.newton_euler import BodyConstants
 from lierb.kernels.mechanics.tree import TreeConstants, TreeMotion
 from lierb.kernels.systems.formulations import FORMULATIONS
-from lierb.kernels.systems.layout import DIRECTIONS
+from lierb.kernels.systems.layout import FEW_DIRECTIONS
 from lierb.kernels.systems.one_body import BodyMotion
 from lierb.kernels.systems.plan import AnyPlan, LoopPlan, MechanismPlan, Plan
 from lierb.kernels.systems.system import AnySystem, System
@@ -71,7 +71,7 @@ def plan_of(width: int, **described: Any) -> Plan:
 
 @lru_cache(256)
 def plan_with_derivatives(
-    plan: AnyPlan, moving: tuple[str, ...], abreast: int = DIRECTIONS
+    plan: AnyPlan, moving: tuple[str, ...], abreast: int = FEW_DIRECTIONS
 ) -> AnyPlan:
     """Return the plan of the same run, with derivatives of these fields of the inputs.
 

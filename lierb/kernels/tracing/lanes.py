@@ -164,6 +164,22 @@ def call_intrinsic(name: str, *operands: Any) -> Lane:
     return trace_of_any(operands).intrinsic(name, operands)
 
 
+class _Packs:
+    """Packs in the stack frame of a function."""
+
+    def __init__(self, builder: ir.IRBuilder, ty: ir.Type, count: int) -> None:
+        self.builder, self.align = builder, 8 * _count(ty)
+        with builder.goto_entry_block():
+            self.start = builder.alloca(ty, INT32(count))
+        self.start.align = self.align
+
+    def load(self, place: ir.Value) -> ir.Value:
+        return self.builder.load(self.builder.gep(self.start, [place]), align=self.align)
+
+    def store(self, place: ir.Value, pack: ir.Value) -> None:
+        self.builder.store(pack, self.builder.gep(self.start, [place]), align=self.align)
+
+
 def trace_of_any(operands: Sequence[Any]) -> Trace:
     for x in operands:
         if type(x) is Lane:
@@ -264,6 +280,28 @@ class Lane(Traced):
         builder.cbranch(is_next, loop, after)
         builder.position_at_end(after)
         return new, mask, taken
+
+    @staticmethod
+    def for_rows(
+        like: Lane, formula: Callable[..., Any], *rows: tuple[Any, ...]
+    ) -> list[tuple[Lane, ...]]:
+        """Emit `formula` once, as the body of a loop over rows in memory."""
+        trace, builder, ty = like.trace, like.builder, like.value.type
+        given = _Packs(builder, ty, len(rows) * len(rows[0]))
+        for i, x in enumerate(x for row in rows for x in row):
+            is_traced = isinstance(x, Lane)
+            given.store(INT32(i), x.widened(like.lanes).value if is_traced else constant_of(ty, x))
+        with cgutils.for_range(builder, INT32(len(rows))) as loop:
+            first = builder.mul(loop.index, INT32(len(rows[0])))
+            places = [builder.add(first, INT32(i)) for i in range(len(rows[0]))]
+            numbers = formula(*(Lane(trace, given.load(place)) for place in places))
+            made = _Packs(builder, ty, len(rows) * len(numbers))
+            first = builder.mul(loop.index, INT32(len(numbers)))
+            for i, x in enumerate(numbers):
+                made.store(builder.add(first, INT32(i)), x.value)
+        results = [Lane(trace, made.load(INT32(i))) for i in range(len(rows) * len(numbers))]
+        starts = range(0, len(results), len(numbers))
+        return [tuple(results[i : i + len(numbers)]) for i in starts]
 
     def real(self) -> Lane:
         return self
