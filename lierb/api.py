@@ -16,7 +16,7 @@ from lierb.model.base import Model
 from lierb.model.functions.events import Event
 from lierb.model.mechanism.mechanism import Mechanism
 from lierb.model.problem import Problem
-from lierb.results.failures import STATUS_NAMES, Failures, warn_of
+from lierb.results.failures import STATUS_NAMES, Failures, warn_of, warn_of_motors
 from lierb.results.result import Result
 from lierb.results.sensitivities import Untabled, sensitivities
 from lierb.results.tables import (
@@ -210,6 +210,9 @@ def integrate(
     StiffStepWarning
         Fixed steps exceed the method's stability bound for the stiffness or damping of a force of
         `lierb.forces`, or stability limits adaptive steps. The run continues.
+    InconsistentStateWarning
+        With check="warn", a start violates the joint; or joints are far off the positions that
+        motors prescribe, whose rate jumps.
     DerivativeWarning
         A force or function switches by a comparison; its derivatives are right only if it is
         continuous there.
@@ -303,6 +306,7 @@ def integrate_model(
     if np.count_nonzero(output.status):  # OK is 0; quicker than any()
         failures = Failures.of(result.summary)
         warn_of(failures, "`failed` of the result lists them", stacklevel=stacklevel + 1)
+    warn_of_motors(model, result.summary, stacklevel=stacklevel + 1)
     return result
 
 

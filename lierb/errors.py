@@ -69,7 +69,7 @@ class MemoryLimitError(LierbError):
 
 
 class InconsistentStateWarning(UserWarning):
-    """The initial pose or twist violates the joint; issued with check="warn"."""
+    """The initial pose or twist violates the joint, with check="warn"; or a motor's position."""
 
 
 class FailedTrajectoryWarning(UserWarning):

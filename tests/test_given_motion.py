@@ -186,3 +186,33 @@ def test_a_study_drives_joints_and_names_the_units():
     np.testing.assert_allclose(rates["wheel"][:, 1], made.problem.forces[1].parameters["speed"])
     places = made.problem.coordinates(made.pose0)
     np.testing.assert_allclose(places["cart"][:, 0], 0.3)
+
+
+def ramp(t, params):
+    return params.height * lierb.clip(t, 0.0, 1.0)
+
+
+def raised(problem: bool, height, stabilise=None) -> lierb.Result:
+    """A slide whose motor stops at t = 1 s: the rate of its position jumps."""
+    box, slide = lierb.bodies.box((0.1, 0.1, 0.1), mass=1.0), lierb.joints.prismatic()
+    motor = lierb.forces.motor(position=ramp, height=height)
+    run = {"dt": 1e-2, "t_end": 2.0, "discontinuities": [1.0], "stabilise": stabilise}
+    if problem:
+        made = lierb.Problem(box, slide, forces=motor)
+        return lierb.integrate(made, twist0=made.project((0.0,) * 6), **run)
+    made = lierb.Mechanism(lierb.Link("cage", box, slide), forces=motor.on("cage"))
+    return lierb.integrate(made, twist0=made.project(made.twist()), **run)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("problem", [True, False])
+def test_a_position_whose_rate_jumps_is_warned_of(problem):
+    message = r"up to 0\.3 m off .* in trajectory 2: .*impulse.*stabilise=\"project\""
+    with pytest.warns(lierb.errors.InconsistentStateWarning, match=message):
+        raised(problem, [0.1, 0.2, 0.3])
+
+
+@pytest.mark.slow
+def test_a_projected_position_follows_a_jump_of_its_rate():
+    result = raised(False, [0.1, 0.3], "project")
+    np.testing.assert_allclose(result["cage"].position[:, 2], [0.1, 0.3], atol=1e-13)

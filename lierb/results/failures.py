@@ -1,4 +1,4 @@
-"""Report failed trajectories: their statuses, messages and warnings."""
+"""Report failed trajectories, and motors that miss their positions: messages and warnings."""
 
 from __future__ import annotations
 
@@ -11,9 +11,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lierb.errors import FailedTrajectoryWarning
+from lierb.errors import FailedTrajectoryWarning, InconsistentStateWarning
+from lierb.kernels.mechanics.scale import length_of
 from lierb.kernels.systems import state
-from lierb.results.columns import as_codes
+from lierb.model.base import Model
+from lierb.model.forces.motors import PositionMotor
+from lierb.results.columns import as_array, as_codes
 from lierb.support.collected_warnings import are_warnings_collected
 
 if TYPE_CHECKING:
@@ -50,6 +53,7 @@ REMEDIES = {
 }
 RAISED_KEY = b"lierb.raised"  # key in a summary's metadata: first exception
 COLUMNS = ("trajectory", "status", "t")
+OFF = 1e-2  # error of a motor's position that is no drift: rad, or relative to the size of a link
 
 
 def has_failed(summary: pa.Table) -> NDArray[np.bool_]:
@@ -162,3 +166,27 @@ def warn_of(failures: Failures | None, look: str, **options: Any) -> None:
     if failures is not None and not are_warnings_collected():
         lines = (f"{failures}; {look}", *failures.remedies)
         warnings.warn("\n  ".join(lines), FailedTrajectoryWarning, **options)
+
+
+def warn_of_motors(model: Model, summary: pa.Table, **options: Any) -> None:
+    """Issue one InconsistentStateWarning if joints are far off the positions of their motors.
+
+    options : keywords of `warnings.warn`.
+    """
+    has_motors = any(isinstance(force.kind, PositionMotor) for force in model.forces)
+    if not has_motors or are_warnings_collected():
+        return
+    length = max(float(np.max(length_of(model.parameters(at)))) for at in model.joints if at.joint)
+    alive = ~has_failed(summary)
+    for kind, size, unit in (("rotation", 1.0, "rad"), ("position", length, "m")):
+        off = np.where(alive, as_array(summary[f"{kind}_error_max"]), 0.0)
+        if off.max() > OFF * size:
+            warnings.warn(
+                f"joints are up to {off.max():.2g} {unit} off the positions that motors prescribe, "
+                f"in trajectory {off.argmax()}: the rate of a position jumps, which would take an "
+                "impulse, or the steps are too long; give positions with continuous rates, shorter "
+                'steps, or stabilise="project"',
+                InconsistentStateWarning,
+                **options,
+            )
+            return

@@ -175,7 +175,9 @@ def motor(
 
     A speed or a position is a further constraint, and −λ of its row is the torque or the force of
     the motor. The start must satisfy it: a position prescribes the speed too, by its exact
-    derivative. `Mechanism.close(pose, t0=…)` and `Mechanism.project(twist, pose, t0=…)` find such a
+    derivative. Its rate must be continuous: a jump would take an impulse, which a run does not
+    have; the joint then moves on at its old rate, and a warning says how far off it is.
+    `Mechanism.close(pose, t0=…)` and `Mechanism.project(twist, pose, t0=…)` find such a
     start.
 
     Parameters
