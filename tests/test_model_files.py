@@ -875,6 +875,28 @@ def test_links_without_mass_that_nothing_moves_are_refused(tmp_path):
 
 
 @pytest.mark.parametrize(
+    ("joint", "place", "message"),
+    [
+        ('<joint axis="0 0 1"/>', "0 0 -1", "turn about an axis through its point mass"),
+        ('<joint type="ball"/>', "0 0 -1", "turn about an axis through its point mass"),
+        ('<joint type="ball"/>', "0 0 0", "turn about an axis through its point mass"),
+        ('<joint axis="0 1 0"/>', "0 0 -1", None),
+        ('<joint type="slide" axis="0 0 1"/>', "0 0 0", None),
+    ],
+)
+def test_point_masses_that_turn_about_themselves_are_refused(tmp_path, joint, place, message):
+    point = f'<inertial pos="{place}" mass="1" diaginertia="0 0 0"/>'
+    path = one_body(tmp_path, joint, inertial=point)
+    if message is None:
+        assert "body" in read(path)[0].names
+        return
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", LeftOutWarning)
+        with pytest.raises(ArgumentError, match=message):
+            lierb.Mechanism.from_mjcf(path)
+
+
+@pytest.mark.parametrize(
     ("given", "line"),
     [
         ('range="1 1"', "joint knee: limits 1 … 1, which MuJoCo ignores"),
