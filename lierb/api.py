@@ -219,7 +219,7 @@ def integrate(
 
     Notes
     -----
-    Derivatives are those of the method's steps: dual numbers go through the same code, three
+    Derivatives are those of the method's steps: dual numbers go through the same code, a few
     directions at a time, and values and steps are those of a run without derivatives, to the bit. A
     direction of a start is projected onto the motions that joints and loops admit, by least kinetic
     energy, as by `Problem.project`: the derivatives times a change that they admit are its effect.

@@ -78,9 +78,10 @@ def _require_different(elements: Iterable[Element]) -> None:
     for each in elements:
         for name, _ in each.columns:
             if name.lower() in owners:
+                hint = ', such as state="…" of a force' if isinstance(each, Force) else ""
                 raise ArgumentError(
                     f"two are named {name}, of {owners[name.lower()]} and of {each.name}; states "
-                    "and outputs of controllers need names of their own"
+                    f"and outputs of controllers need names of their own{hint}"
                 )
             owners[name.lower()] = each.name
 
