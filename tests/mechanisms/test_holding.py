@@ -86,6 +86,15 @@ def test_an_angle_out_of_reach_is_told():
         bars.close(rough, hold={"shaft": 0.0})
 
 
+def test_joints_that_do_not_close_together_on_the_way_are_named_as_the_reason():
+    bars = four_bar()
+    near = bars.close(bars.pose({"crank": 0.5, "coupler": 0.4, "rocker": 1.9}))
+    far = bars.coordinates(bars.close(near, hold={"crank": 2.0}))
+    both = {name: float(far[name][0]) for name in ("crank", "rocker")}
+    with pytest.raises(lierb.errors.PoseError, match="on the way to hold, at step .* together"):
+        bars.close(near, hold=both)
+
+
 def test_a_wheel_follows_one_that_is_held_by_their_gear():
     wheel = lierb.bodies.cylinder(0.1, 0.02, mass=1.0)
     links = [

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from lierb.errors import ArgumentError
+from lierb.errors import ArgumentError, PoseError
 from lierb.kernels.groups import se3
 from lierb.model.connections import NOWHERE
 from lierb.model.forces.motors import PositionMotor, motor
@@ -58,7 +58,16 @@ def closed_at(mechanism: TreeKinematics, poses: list[Array], hold: Any, t0: floa
             for name, end in ends.items()
         }
         done = (step - 1) * count
-        return closed(held(mechanism, places), poses, t0, lambda n: report(done + n))
+        try:
+            return closed(held(mechanism, places), poses, t0, lambda n: report(done + n))
+        except PoseError as error:
+            if steps == 1 or len(ends) == 1:
+                raise
+            raise PoseError(
+                f"{error}; on the way to hold, at step {step} of {steps}: its {len(ends)} joints "
+                "move there together, and this does not close. Hold one of them, or all along a "
+                "way that closes, by several calls"
+            ) from None
 
     with reporter(None, steps * count, ASSEMBLIES) as report:
         for step in range(1, steps + 1):

@@ -244,7 +244,9 @@ class Mechanism(TreeKinematics):
             Coordinates that joints shall have, by link, as for `pose`: numbers or arrays of n. They
             go there from those of `pose` in steps of at most 0.1 rad, or a tenth of the mechanism's
             size, each closed from the one before: the assembly stays on its branch. Angles go the
-            shorter way, unless the mechanism has gears or screws, for which whole turns count.
+            shorter way, unless the mechanism has gears or screws, for which whole turns count. A
+            motor of given position is ignored at a joint in `hold`. Several coordinates change
+            together, in equal steps: the poses between must close, too.
         t0 : float, optional
             Time at which the positions of motors are evaluated, s.
 
