@@ -99,13 +99,7 @@ POSE_AND_TWIST = Columns(
 
 
 # Directions of derivatives of one run, if there are several: few by dual numbers, or many in a loop
-# (`lierb.kernels.stepping.taped`). Measured on an Emerald Rapids, as multiples of a run without:
-#                              3 directions       6             12: in runs of 3, of 6
-#   RK4, heavy top             3.9, by loop 4.5   by loop 7.2   18.6, 19.3
-#   DOP853, heavy top          4.7, by loop 4.3   by loop 6.5   21.7, 16.3
-#   RK4, double pendulum       5.6, by loop 4.2   by loop 8.3   24.7, 19.1
-#   DOP853, double pendulum    3.6, by loop 4.0   by loop 6.5   18.3, 18.0
-# Runs of 12 take 14 to 21, but compile for twice as long.
+# (`lierb.kernels.stepping.taped`). docs/decisions/formulas.md has times of other numbers.
 FEW_DIRECTIONS, MANY_DIRECTIONS = 3, 6
 
 LANE_SUMMARY = Columns(
