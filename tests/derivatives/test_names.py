@@ -259,9 +259,10 @@ def test_results_with_derivatives_are_pickled_and_described():
 @pytest.mark.slow
 def test_progress_is_that_of_all_runs_together():
     seen = []
-    spun(**ROWS, progress=lambda *of: seen.append(of))
+    nine = {"with_respect_to": ("twist0", "gravity")}
+    spun(**(ROWS | nine), progress=lambda *of: seen.append(of))
     assert [done for done, _ in seen] == sorted(done for done, _ in seen)
-    assert seen[-1] == (20, 20)  # ten steps for the three directions of each
+    assert seen[-1] == (20, 20)  # ten steps for six directions, and ten for three
 
 
 @pytest.mark.long
