@@ -14,6 +14,7 @@ from lierb.kernels.functions.vocabulary import clip, log, quaternion, table
 from lierb.methods import TABLEAUS, ButcherTableau
 from lierb.model import bodies, forces, joints
 from lierb.model.bodies.body import Body
+from lierb.model.forces.gear_pair import gear
 from lierb.model.formulation import baumgarte
 from lierb.model.functions import noise
 from lierb.model.functions.constraints import constraint, velocity_constraint
@@ -48,8 +49,8 @@ __version__ = package_version()
 __all__ = [
     "TABLEAUS", "Body", "ButcherTableau", "Link", "Loop", "Mechanism", "Problem", "Result",
     "animate", "animation", "baumgarte", "bodies", "clip", "constraint", "controller",
-    "convergence", "errors", "event", "fit", "fits", "forces", "gradient", "ground_motion", "info",
-    "integrate", "joints", "lie", "log", "noise", "observable", "predict", "propagate",
+    "convergence", "errors", "event", "fit", "fits", "forces", "gear", "gradient", "ground_motion",
+    "info", "integrate", "joints", "lie", "log", "noise", "observable", "predict", "propagate",
     "quaternion", "sampling", "states", "table", "turns", "variable_mass", "velocity_constraint",
     "warmup", "where", "wrench",
 ]  # fmt: skip

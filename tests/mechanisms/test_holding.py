@@ -91,7 +91,7 @@ def test_joints_that_do_not_close_together_on_the_way_are_named_as_the_reason():
     near = bars.close(bars.pose({"crank": 0.5, "coupler": 0.4, "rocker": 1.9}))
     far = bars.coordinates(bars.close(near, hold={"crank": 2.0}))
     both = {name: float(far[name][0]) for name in ("crank", "rocker")}
-    with pytest.raises(lierb.errors.PoseError, match="on the way to hold, at step .* together"):
+    with pytest.raises(lierb.errors.PoseError, match=r"on the way to hold, at step .* together"):
         bars.close(near, hold=both)
 
 
