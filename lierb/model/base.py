@@ -166,7 +166,7 @@ class Model(Represented):
             Further states.
         controllers : Controller or iterable of Controller, optional
             Further controllers.
-        ground_motion : optional
+        ground_motion : motion of a ground, or callable, optional
             Motion of the ground, in addition to the one that the model has.
 
         Returns

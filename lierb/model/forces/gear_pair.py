@@ -20,8 +20,10 @@ def gear(
 
     Parameters
     ----------
-    first, second : str
-        Links whose joints are coupled.
+    first : str
+        Link whose joint is coupled.
+    second : str
+        Link of the other joint.
     ratio : float or array_like, shape (n,)
         Rate of the first joint's coordinate by that of the second one's: 1, m/rad or rad/m.
         Negative for wheels that touch outside; a belt's is positive; that of a rack by its pinion

@@ -54,7 +54,7 @@ class Mechanism(TreeKinematics):
     sites : mapping of str to Site, optional
         Named frames of links, which have no effect on the motion: `(link, pose, point)` of each.
         `from_mjcf` and `from_urdf` read them.
-    ground_motion : optional
+    ground_motion : motion of a ground, or callable, optional
         Displacement of the ground: made by a function decorated by `lierb.ground_motion`, or a
         function of t, s, that returns (3,) m. All results are relative to the moving ground.
         Default: the ground is at rest.
