@@ -328,6 +328,14 @@ def test_names_that_are_changed_take_none_of_the_file(tmp_path, given, found):
     assert left_out == tuple(f"the name {a!r}: it is {b}" for a, b in pairs if a and a != b)
 
 
+def test_a_site_with_the_name_of_a_body_in_a_link_is_said(tmp_path):
+    site = '<site name="tool" pos="0.1 0 0"/>'
+    arm = body("arm", '<joint axis="0 1 0"/>', site + body("tool", "", pos="0 0 1"))
+    _, mechanism, left_out = read(tmp_path, arm, merge_fixed=True)
+    np.testing.assert_array_equal(mechanism.sites["tool"].point, (0.1, 0.0, 0.0))
+    assert left_out == ("the frame of body tool: a site has its name",)
+
+
 def test_names_that_are_made_take_none_of_the_file(tmp_path):
     """Links between joints, loops, and bodies that are part of another one's link."""
     sprung = '<joint axis="1 0 0" stiffness="1"/><joint axis="0 1 0"/>'

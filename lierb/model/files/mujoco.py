@@ -117,6 +117,8 @@ def _add_sites(model: MjModel, placed: list[Placed], parts: Parts) -> None:
     bodies = {label_of(model, i): placed[i] for i in named_last}
     merged = {name: at for name, at in bodies.items() if at.link != name and name not in links}
     parts.sites = {name: at for name, at in (merged | sites).items() if name}
+    hidden = [name for name in merged if name in sites]
+    parts.left_out += [f"the frame of body {name}: a site has its name" for name in hidden]
 
 
 def _add_chain(
