@@ -441,9 +441,3 @@ def test_equalities_that_are_no_gears_are_listed(tmp_path):
     more = """<joint name="cam" joint1="c" joint2="a" polycoef="0 0.1 0.5 0 0"/>"""
     _, left_out = read(tmp_path / "cam.xml", COUPLED.format(more=more))
     assert "cam: equality/joint with a polynomial beyond a₁" in left_out
-    text = """<mujoco><worldbody><body name="a"><joint name="x" axis="1 0 0"/>
-      <joint name="y" axis="0 1 0"/><inertial pos="0 0 0" mass="2" diaginertia="1 1 1"/></body>
-      <body name="b"><joint name="z"/><inertial pos="0 0 0" mass="2" diaginertia="1 1 1"/></body>
-      </worldbody><equality><joint name="odd" joint1="z" joint2="y"/></equality></mujoco>"""
-    _, left_out = read(tmp_path / "odd.xml", text)
-    assert left_out == ("odd: equality/joint of joint y, which is part of a universal joint",)

@@ -188,10 +188,8 @@ def test_a_slide_has_its_spring_and_its_stops(tmp_path):
     assert (stop.at, left_out) == (("body",), ())
 
 
-def test_stops_of_more_than_a_turn_are_left_out(tmp_path):
-    joint = '<joint name="screw" range="-4 4" limited="true"/>'
-    mechanism, left_out = read(one_body(tmp_path, joint), limit_stiffness=10.0)
-    assert (mechanism.forces, left_out) == ((), ("joint screw: limits -4 … 4",))
+def test_the_stiffness_of_stops_is_positive(tmp_path):
+    one_body(tmp_path, "<joint/>")
     with pytest.raises(ArgumentError, match="limit_stiffness"):
         lierb.Mechanism.from_mjcf(tmp_path / "body.xml", limit_stiffness=-1.0)
 
@@ -221,13 +219,17 @@ def test_what_flags_disable_is_not_there(tmp_path, flag, gone):
     assert {name for name, is_there in found.items() if not is_there} == set(gone.split())
 
 
-def test_a_spring_wound_by_more_than_half_a_turn_is_left_out(tmp_path):
-    """It would pull the other way; its damper stays."""
+def test_a_spring_wound_by_more_than_half_a_turn_counts_turns(tmp_path):
+    """By the pose alone it would pull the other way."""
     joint = '<joint name="coil" springref="4" stiffness="3" damping="0.1"/>'
     mechanism, left_out = read(one_body(tmp_path, joint))
-    (force,) = mechanism.forces
-    assert (force.parameters["stiffness"], force.parameters["damping"]) == (0.0, 0.1)
-    assert left_out == ("joint coil: stiffness 3, slack at 4 rad",)
+    (force,), (counter,) = mechanism.forces, mechanism.states
+    numbers = {name: float(x) for name, x in force.parameters.items()}
+    assert numbers == {"stiffness": 3.0, "damping": 0.1, "angle": 4.0}
+    assert (force.kind.turns, counter.at, counter.parameters["start"]) == (
+        counter.name, ("body",), 0.0,
+    )  # fmt: skip
+    assert left_out == ()
 
 
 @pytest.mark.skipif(

@@ -99,7 +99,8 @@ RATES = np.array([5.0, 7.0, 11.0])
 
 
 @pytest.mark.slow
-def test_stops_many_turns_apart_are_met():
+@pytest.mark.parametrize("solver", ["auto", "looped"])
+def test_stops_many_turns_apart_are_met(solver):
     """Right: half an oscillation in each stop, straight flight in between (closed form)."""
     lower, upper = STOPS
     stops = lierb.forces.joint_limit(lower=lower, upper=upper, stiffness=200.0, turns="turned")
@@ -110,7 +111,7 @@ def test_stops_many_turns_apart_are_met():
     rates[:, 0] = RATES
     result = lierb.integrate(
         machine, twist0=machine.twist({"wheel": rates}), rtol=1e-10, method="DOP853", t_end=60.0,
-        save_at=t,
+        save_at=t, solver=solver,
     )  # fmt: skip
     assert result.failed.size == 0
     found = np.array(result.history["turned"]).reshape(241, 3)

@@ -459,15 +459,19 @@ def test_from_urdf_stops_a_joint_that_is_locked_where_it_is(tmp_path, kind, at):
     assert (stop.parameters["lower"], stop.parameters["upper"], left_out) == (at, at, ())
 
 
-@pytest.mark.parametrize(
-    "limit", [(0.5, -0.5), (-4, 4), (2, 5), (7, 8), (-8, -7)], ids=lambda x: f"{x[0]} to {x[1]}"
-)
-def test_from_urdf_makes_no_stops_that_would_act_elsewhere(tmp_path, limit):
-    """Stops know the pose alone, so that the shorter way to a range has to be that of the file."""
+@pytest.mark.parametrize("limit", [(-4, 4), (2, 5), (7, 8), (-8, -7)])
+def test_from_urdf_counts_turns_for_stops_that_a_pose_does_not_determine(tmp_path, limit):
     path = pair(tmp_path, '<limit lower="{}" upper="{}"/>'.format(*limit))
     mechanism, left_out = read(path, limit_stiffness=1e4)
-    listed = "joint hinge: limits {} … {}".format(*limit)
-    assert (mechanism.forces, left_out) == ((), (listed,))
+    (stop,), (counter,) = mechanism.forces, mechanism.states
+    assert (stop.parameters["lower"], stop.parameters["upper"]) == limit
+    assert (stop.kind.turns, left_out) == (counter.name, ())
+
+
+def test_from_urdf_makes_no_stops_of_limits_in_reverse(tmp_path):
+    path = pair(tmp_path, '<limit lower="0.5" upper="-0.5"/>')
+    mechanism, left_out = read(path, limit_stiffness=1e4)
+    assert (mechanism.forces, left_out) == ((), ("joint hinge: limits 0.5 … -0.5",))
 
 
 LINES = {

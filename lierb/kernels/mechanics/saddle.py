@@ -43,6 +43,9 @@ from lierb.kernels.numbers.zero import ZERO, is_zero
 # A row depends on the rows before it if its pivot is less than this fraction of the row's own
 # mobility. Without the test, Cholesky, LDLᵀ and LU return garbage. Rounding leaves about 1e-15.
 PIVOT_TOLERANCE = 1e-12
+# Mobilities are those of a row's own bodies. A body that is lighter than this part of what hangs
+# on it moves with that: files put bodies without mass between the joints of a hip.
+LIGHTEST = 1e-8
 # The right-hand side of such a row must be equally small, or the rows contradict each other.
 CONSISTENCY_TOLERANCE = 1e-6
 # If pose and velocity violate the rows by δ, the tolerances are δ and √δ, if larger than these.

@@ -20,12 +20,12 @@ from functools import cached_property
 from itertools import product
 from typing import Any, NamedTuple
 
-from lierb.kernels.mechanics.saddle import less, multipliers_of
+from lierb.kernels.mechanics.saddle import LIGHTEST, less, multipliers_of
 from lierb.kernels.mechanics.spatial import Articulated, twist_at, wrench_from
 from lierb.kernels.mechanics.subgroup import inverse
 from lierb.kernels.mechanics.tree import GROUND, MASSLESS, TreeMotion, combined, joint_space_pays
 from lierb.kernels.mechanics.tree_rows import NodeRow, Response, add_loads, stiffness_of
-from lierb.kernels.numbers.arithmetic import fma, sqrt
+from lierb.kernels.numbers.arithmetic import fma, maximum, sqrt
 from lierb.kernels.numbers.number import Number
 from lierb.kernels.numbers.vec import ZERO3, ZERO6, Vec, add, axpy, dot, neg, norm, sub
 from lierb.kernels.numbers.zero import ZERO, is_zero
@@ -332,23 +332,23 @@ class _TreeScales:
     ) -> None:
         self.motion, self.loads, self.fall = motion, loads, fall or {}
 
-    def _easy(self, i: int) -> Vec:
-        rigid = self.motion.body.nodes[i].rigid
-        return (*(1.0 / rigid.inertia[4 * k] for k in range(3)), *(1.0 / rigid.mass,) * 3)
-
-    def _square(self, i: int, wrench: Vec) -> Number:
+    def _square(self, i: int, wrench: Vec, part: float = 0.0) -> Number:
+        """Return the square of the size of a wrench.   part : of its burden that a node has."""
+        node = self.motion.body.nodes[i]
+        mass, inertia = (part * x for x in node.burden)
+        own = (*node.rigid.inertia[::4], *(node.rigid.mass,) * 3)
         total: Number = ZERO
-        for x, easy in zip(wrench, self._easy(i), strict=True):
-            total = fma(x * x, easy, total)
+        for x, y, least in zip(wrench, own, (*(inertia,) * 3, *(mass,) * 3), strict=True):
+            total = fma(x * x, 1.0 / (maximum(y, least) if part else y), total)
         return total
 
     def of(self, row: NodeRow) -> Number:
         """Return the square of the size of a row."""
         total: Number = ZERO
         for each in row.parts:
-            total = total + self._square(each.node, each.push)
+            total = total + self._square(each.node, each.push, LIGHTEST)
             if each.other != GROUND:
-                total = total + self._square(each.other, each.pull)
+                total = total + self._square(each.other, each.pull, LIGHTEST)
         return total
 
     def acceleration(self, row: NodeRow) -> Number:

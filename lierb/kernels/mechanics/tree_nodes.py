@@ -39,7 +39,7 @@ from lierb.kernels.mechanics.spatial import (
 )
 from lierb.kernels.mechanics.subgroup import Slots
 from lierb.kernels.mechanics.tree import HERE, Ends, NodeConstants, combined, free_directions
-from lierb.kernels.numbers.arithmetic import flatten, fma, sqrt, where
+from lierb.kernels.numbers.arithmetic import flatten, fma, maximum, sqrt, where
 from lierb.kernels.numbers.vec import (
     IDENTITY,
     UNIT,
@@ -314,11 +314,15 @@ def transmitted(constants: Any, here: Any, load: Vec | None) -> Vec:
     return needed if load is None else sub(needed, load)
 
 
-def easy_of(constants: Any) -> Vec:
-    """Reciprocals of the inertia's diagonal about a node's origin and of its mass, or 0."""
-    rows = (INERTIA, INERTIA + 2, INERTIA + 5, MASS)
-    numbers = [constants[row] for row in rows]
-    return tuple(where(x > 0.0, 1.0 / where(x > 0.0, x, 1.0), 0.0) for x in numbers)
+def inertias_of(constants: Any) -> Vec:
+    """Diagonal of the inertia about a node's origin, and its mass."""
+    return tuple(constants[row] for row in (INERTIA, INERTIA + 2, INERTIA + 5, MASS))
+
+
+def easy_of(constants: Any, least: Vec = (0.0,) * 4) -> Vec:
+    """Reciprocals of `inertias_of`, or 0.   least : numbers below these count as these."""
+    pairs = zip(inertias_of(constants), least, strict=True)
+    return tuple(where(x > 0.0, 1.0 / where(x > 0.0, maximum(x, y), 1.0), 0.0) for x, y in pairs)
 
 
 def action_of(constants: Any, here: Any, slide: Vec) -> Any:

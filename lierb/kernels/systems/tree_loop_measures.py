@@ -48,7 +48,8 @@ class LoopMeasures(LoopProjection):
         self, body: LoopBody, state: State, motion: LoopMotion, time: Any, first_energy: Any = ZERO
     ) -> Observed:
         """Return every measure; store the errors of the joints."""
-        self._run("measure", body, self._measure, *((time,) if self.plan.constraint_kinds else ()))
+        times = (time,) if self.plan.constraint_kinds else ()
+        self._run("measure", body, self._measure, *times, *self._signal_numbers(body))
         sums = self._tree(body).section(at.SUMS_ROW)
         energy, orthogonality, *errors = sums[0 : at.POWER]
         names = (measure.name for measure in JOINT_ERRORS)
@@ -60,7 +61,9 @@ class LoopMeasures(LoopProjection):
         }
         return Observed(values)
 
-    def _measure(self, tree: MemoryTree, time: Any = ZERO) -> None:
+    def _measure(self, tree: MemoryTree, *numbers: Any) -> None:
+        time, *rest = numbers if self.plan.constraint_kinds else (ZERO, *numbers)
+        signals = self._signals(tuple(rest))
         sums, gravity = tree.section(at.SUMS_ROW), tree.ground.constants[0:3]
         sums.put(0, *(0.0,) * at.SUMS)
 
@@ -102,7 +105,7 @@ class LoopMeasures(LoopProjection):
         def potential(element: MemoryElement) -> None:
             def do(kind: ElementKind) -> None:
                 placed, _, x, _ = element.placed(kind, ZERO)  # no potential depends on time
-                energy = kind.element.energy(placed, x)
+                energy = kind.element.energy(placed, x._replace(signals=signals))
                 if not is_zero(energy):
                     sums.put(at.ENERGY, sums[at.ENERGY] + energy)
 

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any, NamedTuple
 
+from lierb.kernels.functions.signals import Signals
 from lierb.kernels.mechanics import tree_nodes
 from lierb.kernels.mechanics.elements import Bound, UserEvent
 from lierb.kernels.mechanics.newton_euler import Motion
@@ -128,13 +129,14 @@ class LoopMotions(LoopRows):
         if watched or not any(kind.element.bounds_steps for kind in self.plan.element_kinds):
             return bounds
         tree, steps = self._tree(body), (start.is_next, end.is_next)
+        is_kept = steps[0] is not steps[1]
         best = tree.section(at.SUMS_ROW)
         best.put(0, INF)
         self._see(tree, steps[0])
-        if steps[0] is not steps[1]:
+        if is_kept:
             tree.for_elements(_keep_motion)
             self._see(tree, steps[1])
-        tree.for_elements(partial(_bound, best, h, size, steps[0] is not steps[1]))
+        tree.for_elements(partial(_bound, best, h, size, body.signals, is_kept))
         return (*bounds, Bound(1.0, best[0]))
 
 
@@ -157,8 +159,13 @@ def _keep_motion(element: MemoryElement) -> None:
     element.each_kind(partial(_bounding, do))
 
 
-def _bound(best: Rows, h: Any, size: Any, is_kept: bool, element: MemoryElement) -> None:
-    """Lower the longest step by an element's bounds.   is_kept : whether its start is stored."""
+def _bound(
+    best: Rows, h: Any, size: Any, signals: Signals, is_kept: bool, element: MemoryElement
+) -> None:
+    """Lower the longest step by an element's bounds.
+
+    signals : at the start of the step.   is_kept : whether the element's motion there is stored.
+    """
 
     def do(kind: ElementKind) -> None:
         placed, _, end, _ = element.placed(kind, ZERO)
@@ -166,6 +173,7 @@ def _bound(best: Rows, h: Any, size: Any, is_kept: bool, element: MemoryElement)
         if is_kept:
             rows = _kept_motion(element)
             start = Motion(ZERO, rows[0:9], rows[9:12], rows[12:15], rows[15:18])
+        start = start._replace(signals=signals)
         for rate, distance in kind.element.travel(placed, start, end, h, size):
             if not is_zero(rate):
                 longest = where(rate > 0.0, distance / where(rate > 0.0, rate, 1.0), INF)

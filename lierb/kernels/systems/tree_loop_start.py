@@ -11,12 +11,13 @@ from typing import Any
 from lierb.kernels.functions.function import size_of
 from lierb.kernels.groups import se3
 from lierb.kernels.mechanics import subgroup, tree_nodes
+from lierb.kernels.mechanics.saddle import LIGHTEST
 from lierb.kernels.mechanics.spatial import Pose, Rigid, twist_at
 from lierb.kernels.mechanics.tree import FREE, GROUND, HERE, Node, NodeConstants
 from lierb.kernels.mechanics.tree_nodes import MOTION, JointKind, Kind
-from lierb.kernels.numbers.arithmetic import flatten, load, sqrt, where
+from lierb.kernels.numbers.arithmetic import flatten, fma, load, sqrt, where
 from lierb.kernels.numbers.dual import Dual
-from lierb.kernels.numbers.vec import IDENTITY, ZERO3, ZERO6, ZERO9, Vec, norm, sub
+from lierb.kernels.numbers.vec import IDENTITY, ZERO3, ZERO6, ZERO9, Vec, dot, norm, sub
 from lierb.kernels.numbers.zero import ZERO, is_zero
 from lierb.kernels.systems import tree_places as at
 from lierb.kernels.systems.connection_table import EASY, placed_shape
@@ -45,7 +46,7 @@ from lierb.kernels.systems.tree_memory import (
     TreeInMemory,
 )
 from lierb.kernels.tracing.arrays import Index
-from lierb.kernels.tracing.memory import Rows, for_each, switch
+from lierb.kernels.tracing.memory import Rows, for_each, if_not_zero, switch
 
 NOTHING = Rigid(ZERO, ZERO3, ZERO9)  # of a massless node
 Numbers = Callable[[Index, int], Vec]  # some columns of the inputs, from one on
@@ -126,7 +127,9 @@ class LoopStart(TreeInMemory):
         body = self._with_elements(tree, body, numbers)
         if not self.plan.constraint_kinds:
             return body
-        tree.for_constraints(lambda constraint: self._load_constraint(constraint, numbers))
+        tree.for_nodes(_weigh)
+        tree.for_nodes(_burden, backward=True)
+        tree.for_constraints(partial(self._load_constraint, numbers))
         sums.put(0, sqrt(2.0 * girth), 0.0)
         tree.for_nodes(partial(_measure_node, sums))
         return body._replace(length=sums[0], heavy=sums[1])
@@ -155,9 +158,9 @@ class LoopStart(TreeInMemory):
 
         element.each_kind(do)
 
-    def _load_constraint(self, constraint: MemoryConstraint, numbers: Numbers) -> None:
+    def _load_constraint(self, numbers: Numbers, constraint: MemoryConstraint) -> None:
         ends = constraint.node, constraint.other
-        easy = [x for each in ends for x in tree_nodes.easy_of(each.constants)]
+        easy = [x for each in ends for x in _easy_of(each)]
         joint = _joint_of(constraint, numbers)
 
         def do(kind: ConstraintKind) -> None:
@@ -345,3 +348,29 @@ def _measure_node(sums: Any, node: MemoryNode) -> None:
     _, point = tree_nodes.hang_of(node.constants)
     root = sqrt(node.constants[tree_nodes.MASS])
     sums.put(0, sums[0] + norm(com) + norm(point), sums[1] + root)
+
+
+# ---- mobilities of nodes -----------------------------------------------------------------------
+
+
+def _weigh(node: MemoryNode) -> None:
+    """Store mass and approximate inertia, where the motion is stored later."""
+    *inertia, mass = tree_nodes.inertias_of(node.constants)
+    node.motion.put(0, mass, 0.5 * sum(inertia))
+
+
+def _burden(node: MemoryNode) -> None:
+    """Add a node's mass and inertia to those of its parent; see `tree_inputs.with_burdens`."""
+    (mass, inertia), parent = node.motion[0:2], node.parent.motion
+    _, arm = tree_nodes.hang_of(node.constants)
+
+    def add() -> None:
+        before, about = parent[0:2]
+        parent.put(0, before + mass, about + fma(mass, dot(arm, arm), inertia))
+
+    if_not_zero(node.entry(at.PARENT), add)
+
+
+def _easy_of(node: MemoryNode) -> Vec:
+    mass, inertia = (LIGHTEST * x for x in node.motion[0:2])
+    return tree_nodes.easy_of(node.constants, (*(inertia,) * 3, mass))

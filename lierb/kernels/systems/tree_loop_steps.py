@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-from lierb.kernels.functions.function import size_of
 from lierb.kernels.functions.signals import Signals
 from lierb.kernels.mechanics import tree_nodes
 from lierb.kernels.mechanics.tree_connections import loads_of
@@ -16,7 +15,6 @@ from lierb.kernels.numbers.zero import ZERO, is_zero
 from lierb.kernels.systems import tree_places as at
 from lierb.kernels.systems.combine import NAN, summed, weighted
 from lierb.kernels.systems.plan import ElementKind
-from lierb.kernels.systems.signals import states_of
 from lierb.kernels.systems.state import Factors, Rates, Slopes, State, Units, Weights
 from lierb.kernels.systems.tree_loop_motion import LoopMotion, LoopMotions
 from lierb.kernels.systems.tree_memory import LoopBody, MemoryElement, MemoryNode, MemoryTree
@@ -76,15 +74,12 @@ class LoopSteps(LoopMotions):
 
     def _call_rates(self, body: LoopBody, ahead: Index, time: Any) -> None:
         """Emit a call that stores the rates of the stage.   ahead : rows of the slopes before."""
-        zero = 0.0 * body.mass
-        signals = (zero + x for x in (*body.signals.states, *body.signals.controls))
-        more = *self._scales(body), *signals
+        more = *self._scales(body), *self._signal_numbers(body)
         self._run("rates", body, self._rates, ahead, time, *more)
 
     def _rates(self, tree: MemoryTree, ahead: Index, time: Any, *numbers: Lane) -> None:
         scales, rest = numbers[: self._scaled], numbers[self._scaled :]
-        count = size_of(states_of(self.plan))
-        self._load(tree, ahead, time, Signals(rest[:count], rest[count:]))
+        self._load(tree, ahead, time, self._signals(rest))
         if scales:
             self._constrain(tree, time, *scales)
         self._accelerate(tree, ahead)

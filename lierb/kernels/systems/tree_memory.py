@@ -6,7 +6,7 @@ Numbers are in rows of a thread's memory, whose places the tree's table has
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -345,6 +345,15 @@ class TreeInMemory(PassiveElements):
 
         name = ".".join(map(str, (__name__, name, self.plan.lanes, tree.parts, *sizes)))
         procedure(name, formula, tree.table, tree.memory, *map(self._widened, more))
+
+    def _signal_numbers(self, body: LoopBody) -> Iterator[Any]:
+        """Yield the body's signals as operands of `_run`; see `_signals`."""
+        zero = 0.0 * body.mass
+        return (zero + x for x in (*body.signals.states, *body.signals.controls))
+
+    def _signals(self, numbers: Vec) -> Signals:
+        count = size_of(states_of(self.plan))
+        return Signals(numbers[:count], numbers[count:])
 
     def _widened(self, x: Any) -> Any:
         """Return an operand with all lanes."""

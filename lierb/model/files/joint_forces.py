@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from lierb.model import forces
+from lierb.model.functions.states import ExtraStates
+from lierb.model.functions.turns import turns
 from lierb.model.functions.wrenches import Force
 from lierb.model.joints.joint import Joint
 
@@ -20,6 +22,27 @@ WITH_FORCES = {  # kind of MuJoCo's joint: lierb's joints about or along whose a
     "hinge": ("revolute", "cylindrical", "planar", "schoenflies"),
     "slide": ("prismatic", "cylindrical"),
 }
+WIDE = 5.0  # rad: the rest of a turn is for motion beyond stops, or past a spring's slack angle
+NEAR = 3.0  # rad, less than half a turn
+
+
+def is_coupling(model: MjModel, k: int) -> bool:
+    """Return whether equality k is an equality/joint."""
+    from mujoco import mjtEq
+
+    return int(model.eq_type[k]) == int(mjtEq.mjEQ_JOINT)
+
+
+def is_curved(model: MjModel, k: int) -> bool:
+    """Return whether equality/joint k couples two joints by a polynomial beyond a₁."""
+    return bool(model.eq_obj2id[k] >= 0 and np.any(model.eq_data[k][2:5]))
+
+
+def coupled(model: MjModel) -> Iterator[tuple[int, int]]:
+    """Yield the joints of each equality/joint that becomes a gear or a motor; −1 for none."""
+    for k in map(int, np.flatnonzero(model.eq_active0)):
+        if is_coupling(model, k) and not is_curved(model, k):
+            yield int(model.eq_obj1id[k]), int(model.eq_obj2id[k])
 
 
 @dataclass(frozen=True)
@@ -49,7 +72,8 @@ class JointForces:
     def needs_its_axis(self) -> bool:
         """Return whether the joint has a force that can act only if its axis stays a joint's."""
         has_stop = self.model.jnt_limited[self.j] and self.limit_stiffness is not None
-        return self.kind in WITH_FORCES and bool(has_stop or any(self.spring))
+        is_coupled = any(self.j in pair for pair in coupled(self.model))
+        return self.kind in WITH_FORCES and bool(has_stop or any(self.spring) or is_coupled)
 
     @property
     def spring(self) -> tuple[float, float]:
@@ -73,10 +97,28 @@ class JointForces:
         return self._on_axis(self.model.qpos_spring[self.model.jnt_qposadr[self.j]])
 
     @property
-    def _is_wound(self) -> bool:
-        """Return whether the spring is slack beyond half a turn, which a pose cannot represent."""
-        stiffness, _ = self.spring
-        return self.kind == "hinge" and stiffness > 0.0 and abs(self._slack) > np.pi
+    def counts_turns(self) -> bool:
+        """Return whether its forces need an angle that counts whole turns, unlike a pose's.
+
+        That is so if stops are wide apart, or if their middle or the spring's slack angle is about
+        half a turn from that of qpos0.
+        """
+        if self.kind != "hinge" or not self.has_force:
+            return False
+        lower, upper = self._stops or (0.0, 0.0)
+        slack = self._slack if self.spring[0] else 0.0
+        return max(upper - lower, abs(lower + upper), 2.0 * abs(slack)) > WIDE
+
+    @property
+    def start(self) -> float:
+        """Return the angle, rad, to which the angle at the start is the nearest of a pose's.
+
+        Half a turn about it includes 0, the angle at qpos0. As far as that leaves a choice, it
+        includes the limits or, if they are wider, no angle beyond them.
+        """
+        lower, upper = self._stops or (0.0, 0.0)
+        middle, rest = 0.5 * (lower + upper), max(0.5 * (upper - lower) - NEAR, 0.0)
+        return float(np.clip(np.clip(0.0, middle - rest, middle + rest), -NEAR, NEAR))
 
     @property
     def range(self) -> tuple[float, float] | None:
@@ -102,37 +144,40 @@ class JointForces:
 
     @property
     def _stops(self) -> tuple[float, float] | None:
-        """Return the limits at which stops act, if the shorter way to them is that of the file."""
+        """Return the limits at which stops act."""
         if self.range is None or self.limit_stiffness is None or not self.has_force:
             return None
         lower, upper = self.range
-        if lower > upper:
-            return None
-        is_shorter = self.kind == "slide" or upper - lower < 2 * np.pi > abs(lower + upper)
-        return (lower, upper) if is_shorter else None
+        return (lower, upper) if lower <= upper else None
 
-    def forces(self) -> Iterator[Force]:
+    def on(self, link: str) -> tuple[list[Force], list[ExtraStates]]:
+        """Return the forces on a link, and the state that counts its turns if they need it."""
+        counter = f"turned_{link}" if self.counts_turns else None
+        states = [] if counter is None else [turns(counter, start=self.start).on(link)]
+        return [force.on(link) for force in self._forces(counter)], states
+
+    def _forces(self, counter: str | None) -> Iterator[Force]:
         stiffness, damping = self.spring
+        slack, is_hinge = self._slack, self.kind == "hinge"
         if (stiffness or damping) and self.has_force:
-            slack = self._slack
-            if self._is_wound:
-                stiffness = slack = 0.0
-            if self.kind == "hinge":
-                yield forces.torsional_spring(stiffness=stiffness, damping=damping, angle=slack)
+            given = {"stiffness": stiffness, "damping": damping}
+            if is_hinge:
+                yield forces.torsional_spring(**given, angle=slack, turns=counter)
             else:
-                yield forces.slide_spring(stiffness=stiffness, damping=damping, position=slack)
-        if self._stops:
-            stop = forces.joint_limit if self.kind == "hinge" else forces.slide_limit
+                yield forces.slide_spring(**given, position=slack)
+        if self._stops and self.limit_stiffness is not None:
             lower, upper = self._stops
-            yield stop(lower=lower, upper=upper, stiffness=self.limit_stiffness)  # type: ignore[arg-type]
+            ends = {"lower": lower, "upper": upper, "stiffness": self.limit_stiffness}
+            if is_hinge:
+                yield forces.joint_limit(**ends, turns=counter)
+            else:
+                yield forces.slide_limit(**ends)
 
     def left_out(self) -> Iterator[str]:
         """Yield messages on properties of the joint that the mechanism lacks."""
         model, label, at = self.model, self.label, self.model.jnt_dofadr[self.j]
         if any(self.spring) and not self.has_force:
             yield f"{label}: stiffness and damping of a {self.kind} joint"
-        elif self._is_wound:
-            yield f"{label}: stiffness {self.spring[0]:.6g}, slack at {self._slack:.6g} rad"
         if self.is_polynomial:
             yield f"{label}: stiffness and damping beyond their first coefficients"
         if self.range and not self._stops:

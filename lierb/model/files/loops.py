@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from lierb.model import forces, joints
-from lierb.model.files.joint_forces import JointForces
+from lierb.model.files.joint_forces import JointForces, is_coupling, is_curved
 from lierb.model.files.parts import GROUND, Parts, Placed
 from lierb.model.files.welded_bodies import pose_of
 from lierb.support.arrays import Array
@@ -29,8 +29,7 @@ def add_loops(model: MjModel, placed: list[Placed], parts: Parts) -> None:
     for k in range(model.neq):
         label = model.equality(k).name or f"equality {k}"
         maker = makers.get(int(model.eq_type[k]))
-        couples = int(model.eq_type[k]) == int(mujoco.mjtEq.mjEQ_JOINT)
-        if maker is None and not couples:
+        if maker is None and not is_coupling(model, k):
             kind = mujoco.mjtEq(model.eq_type[k]).name.removeprefix("mjEQ_").lower()
             parts.left_out.append(f"{label}: equality/{kind}")
             continue
@@ -85,7 +84,10 @@ def _weld(data: Array, is_by_sites: bool) -> tuple[str, list[Array]]:
 
 def _add_coupling(model: MjModel, k: int, label: str, parts: Parts) -> None:
     """Add a gear for equality/joint k, y = a₀ + a₁ x, or a motor that holds y = a₀."""
-    offset, slope, *rest = (float(x) for x in model.eq_data[k][:5])
+    if is_curved(model, k):
+        parts.left_out.append(f"{label}: equality/joint with a polynomial beyond a₁")
+        return
+    offset, slope = (float(x) for x in model.eq_data[k][:2])
     first, second = (int(i[k]) for i in (model.eq_obj1id, model.eq_obj2id))
     couples = second >= 0 and slope != 0.0
     joints = {name: joint for name, _, joint, _ in parts.links}
@@ -93,16 +95,6 @@ def _add_coupling(model: MjModel, k: int, label: str, parts: Parts) -> None:
     for j in (first, second)[: 1 + couples]:
         link = parts.link_of_joint[j]
         ends.append(JointForces(model, j, link, joints[link], None))
-    lacking = [end for end in ends if not end.has_force]
-    if second >= 0 and np.any(rest):
-        parts.left_out.append(f"{label}: equality/joint with a polynomial beyond a₁")
-        return
-    if lacking:
-        parts.left_out.append(
-            f"{label}: equality/joint of {lacking[0].label}, which is part of a "
-            f"{lacking[0].joint.name} joint"
-        )
-        return
     kinds = [COORDINATES[end.kind] for end in ends]
     if not couples:
         holding = forces.motor(position=ends[0].direction * offset, coordinate=kinds[0])

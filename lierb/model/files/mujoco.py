@@ -16,7 +16,7 @@ from lierb.errors import ArgumentError, LierbError, brief, require_name
 from lierb.model.bodies.body import Body
 from lierb.model.files.compilation import compiled
 from lierb.model.files.composed_joints import SimpleJoint, composed, separate
-from lierb.model.files.joint_forces import KINDS, JointForces
+from lierb.model.files.joint_forces import KINDS, JointForces, coupled
 from lierb.model.files.loops import add_loops, placed_site
 from lierb.model.files.parts import GROUND, Parts, Placed
 from lierb.model.files.welded_bodies import (
@@ -56,7 +56,8 @@ def read(
         require_name("base", base, BASES)
     require_name("frames", frames, FRAMES)
     model, left_out = compiled(path, language, base)
-    parts = Parts(np.array(model.opt.gravity))
+    elements = [*map(model.body, range(model.nbody)), *map(model.equality, range(model.neq))]
+    parts = Parts(np.array(model.opt.gravity), [element.name for element in elements])
     if limit_stiffness is not None:
         as_positive("limit_stiffness", limit_stiffness, "N m/rad, or N/m")
     try:
@@ -112,9 +113,12 @@ def _add_sites(model: MjModel, placed: list[Placed], parts: Parts) -> None:
     """Add the sites with a name, and the bodies that are part of another one's link."""
     sites = {model.site(i).name: placed_site(model, i, placed) for i in range(model.nsite)}
     links = {name for name, *_ in parts.links}
-    bodies = {label_of(model, i): placed[i] for i in range(1, model.nbody)}
+    named_last = sorted(range(1, model.nbody), key=lambda i: bool(model.body(i).name))
+    bodies = {label_of(model, i): placed[i] for i in named_last}
     merged = {name: at for name, at in bodies.items() if at.link != name and name not in links}
     parts.sites = {name: at for name, at in (merged | sites).items() if name}
+    hidden = [name for name in merged if name in sites]
+    parts.left_out += [f"the frame of body {name}: a site has its name" for name in hidden]
 
 
 def _add_chain(
@@ -124,7 +128,7 @@ def _add_chain(
     """Add the link of body i, with links without mass between the joints that do not compose.
 
     Joints compose if the catalogue has a joint with their motions, about whose axes their springs,
-    dampers and stops can act.
+    dampers, stops and couplings can act, unless they are coupled to each other.
 
     base : pose of the body at q = 0, in its parent.
     """
@@ -136,12 +140,13 @@ def _add_chain(
     ]
     chain = composed(simple, base.pose)
     acting = [JointForces(model, j, label, chain[0], limit_stiffness) for j in sequence]
-    if len(chain) == 1 and any(x.needs_its_axis and not x.has_force for x in acting):
+    is_cut_off = any(x.needs_its_axis and not x.has_force for x in acting)
+    if len(chain) == 1 and (is_cut_off or any({*pair} <= {*sequence} for pair in coupled(model))):
         chain = separate(simple, base.pose)
     for k, joint in enumerate(chain, 1):
         link, own = name, body
         if k < len(chain):
-            link, own = parts.free_name(f"{name}_{k}", ""), light_body(model, i)
+            link, own = parts.free_name("", f"{name}_{k}"), light_body(model, i)
             parts.light.append(link)
         parts.links.append((link, own, joint, parent))
         within = sequence if len(chain) == 1 else sequence[k - 1 : k]
@@ -158,9 +163,11 @@ def _add_forces(
         parts.link_of_joint[j] = link
         acting = JointForces(model, j, label, joint, limit_stiffness)
         try:
-            parts.forces += [force.on(link) for force in acting.forces()]
+            forces, states = acting.on(link)
         except LierbError as error:
             raise ArgumentError(f"{acting.label}: {error}") from error
+        parts.forces += forces
+        parts.states += states
         parts.left_out += acting.left_out()
 
 

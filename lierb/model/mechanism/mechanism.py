@@ -103,7 +103,8 @@ class Mechanism(TreeKinematics):
 
         Bodies keep their names. Hinge, slide, ball and free joints become joints of the catalogue;
         several on one body become the joint that combines them, such as universal, if their springs
-        can act about its axes. Otherwise they stay separate, with links without mass between them.
+        and couplings can act about its axes. Otherwise they stay separate, with links without mass
+        between them.
         A link without mass or inertia has 1e-12 of what hangs on it.
         `equality/connect` and `weld` become loops, `equality/joint` gears. Springs and dampers of
         joints that keep their axis become forces. `pose()` is the pose at qpos0. A LeftOutWarning
@@ -128,7 +129,9 @@ class Mechanism(TreeKinematics):
             is always merged with its parent. A body that is welded to the world is the ground.
         limit_stiffness : float, optional
             Stiffness of stops at the limits of hinges, N m/rad, and slides, N/m; with None,
-            limits are left out. In MuJoCo stiffness depends on the mass at a stop.
+            limits are left out. In MuJoCo stiffness depends on the mass at a stop. A state
+            `turned_LINK`, made by `lierb.turns`, counts the turns of a hinge with limits that are
+            more than 5 rad apart, or whose middle is more than 2.5 rad from qpos0.
 
         Returns
         -------
@@ -196,6 +199,7 @@ class Mechanism(TreeKinematics):
             [Loop(*loop) for loop in parts.loops],
             parts.gravity if gravity is None else gravity,
             parts.forces,
+            states=parts.states,
             sites={name: Site(*placed) for name, placed in parts.sites.items()},
         )
         if parts.light:
