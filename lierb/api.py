@@ -41,6 +41,7 @@ from lierb.runs.starts import Ready, ready
 from lierb.runs.stiff_runs import warn_of_stiff_run
 from lierb.runs.stiffness import warn_of_stiff_steps
 from lierb.runs.switches import warn_of_switches
+from lierb.runs.unfit_functions import unfit_function
 from lierb.support.arrays import Array
 from lierb.support.progress import Progress, check_progress
 
@@ -305,7 +306,8 @@ def integrate_model(
         raise no_room(prepared) from error
     if np.count_nonzero(output.status):  # OK is 0; quicker than any()
         failures = Failures.of(result.summary)
-        warn_of(failures, "`failed` of the result lists them", stacklevel=stacklevel + 1)
+        look = f"`failed` of the result lists them{unfit_function(prepared, output)}"
+        warn_of(failures, look, stacklevel=stacklevel + 1)
     warn_of_motors(model, result.summary, stacklevel=stacklevel + 1)
     return result
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -22,7 +23,6 @@ from lierb.kernels.mechanics.rows import Rows
 from lierb.kernels.mechanics.scale import ROUNDING, START_TOLERANCE, length_of, rounding_of
 from lierb.kernels.numbers.arithmetic import absolute, plain, sqrt
 from lierb.kernels.numbers.vec import Vec, cross_add, norm, sub
-from lierb.model.acting import unfit_rate
 from lierb.model.base import Model
 from lierb.model.mechanism.closing import closed, mobility, unfit_positions
 from lierb.model.mechanism.kinematics import TreeKinematics
@@ -35,6 +35,7 @@ from lierb.model.mechanism.row_system import (
     reversed_joint,
     wrong_way,
 )
+from lierb.model.unfit import unfit_constraint, unfit_rate
 from lierb.support.arrays import Array, as_poses, components, items_at, pose_components
 
 EVEN_SO = '(check="warn" integrates it all the same, but not on "reduced")'
@@ -167,6 +168,10 @@ def violation_of(start: Start) -> LierbError | None:
 
 def _pose_violation(start: Start, name: str, h: ConnectionState) -> PoseError | None:
     if unfit := unfit_positions([h], start.time):
+        return unfit
+    pose = partial(start.members.label, "pose0")
+    where = name[name.find(" (") :] if h.at.name else ""  # " (rod to ground)"
+    if unfit := unfit_constraint(h.at.rows, h.x, h.body, pose, where=where, has_twist=True):
         return unfit
     for member in wrong_way(h, start.members.size)[:1].tolist():
         return PoseError(reversed_joint(start.members.label("pose0", member), name, start.turned))
