@@ -39,8 +39,10 @@ from lierb.runs.provenance import machine
 from lierb.runs.time_options import checked_time
 from lierb.support.arrays import as_positive, is_whole
 from lierb.support.collected_warnings import warnings_collected
+from lierb.support.keywords import explains_keywords
 from lierb.support.progress import check_progress, reporter
 from lierb.support.representations import counted, rounded
+from lierb.synonyms import ARGUMENTS
 
 Progress = bool | Callable[[int, int, str], object] | None
 
@@ -52,6 +54,7 @@ COUNTED = (
 )
 
 
+@explains_keywords(ARGUMENTS)
 def convergence(
     problem: Problem | Mechanism,
     methods: str | Method | Iterable[str | Method] = ("RK4",),

@@ -281,5 +281,5 @@ def warn_of_runs(failed: list[str]) -> None:
             f"trajectories failed in {'; in '.join(failed[:3])}{more}; they are left out of the "
             "errors, and their runs of the orders: see the column failed",
             FailedTrajectoryWarning,
-            stacklevel=3,
+            stacklevel=4,
         )

@@ -408,6 +408,7 @@ class Model(Represented):
     ) -> LierbError | None:
         """Return the error of the first member whose start violates its joints, or None.
 
+        pose0, twist0 : None for the defaults, the closed joint of a problem, and rest.
         number : index of the only member to check. Default: check all.
         """
         raise NotImplementedError

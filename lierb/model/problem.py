@@ -225,7 +225,7 @@ class Problem(Model):
         self, pose0: Any, twist0: Any, t0: float = 0.0, number: int | None = None
     ) -> LierbError | None:
         poses = self.joint.closed_pose if pose0 is None else as_poses("pose0", pose0)
-        twists = as_numbers("twist0", twist0, (6,))
+        twists = None if twist0 is None else as_numbers("twist0", twist0, (6,))
         return violation_of_body(self, poses, twists, t0, number)
 
     def parameters(self, at: Connection | None = None) -> Parameters:

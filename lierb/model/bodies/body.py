@@ -18,7 +18,9 @@ from lierb.support.arrays import (
     components,
     items_at,
 )
+from lierb.support.keywords import explains_keywords
 from lierb.support.representations import Lines, Represented, quantity
+from lierb.synonyms import BODY_ARGUMENTS
 
 SYMMETRY_TOLERANCE = 1e-12  # relative to the largest entry
 TRIANGLE_TOLERANCE = 1e-12  # relative to the largest principal moment
@@ -67,6 +69,7 @@ class Body(Represented):
     inertia: Array
     com: Array
 
+    @explains_keywords(BODY_ARGUMENTS, "lierb.Body")
     def __init__(
         self,
         mass: ArrayLike,

@@ -6,12 +6,20 @@ The rows are those of `lierb.kernels.mechanics.rows`, in the order of λ. They a
 rotation axis of Q ⊥ e₃.
 """
 
+from lierb import synonyms
 from lierb.model.joints.catalogue import *  # noqa: F403
 from lierb.model.joints.catalogue import from_rows
 from lierb.model.joints.joint import Joint
 from lierb.model.joints.joint_type import JOINTS, JointType
+from lierb.support.keywords import no_attribute
 
 __all__ = ["JOINTS", "Joint", "JointType", "from_rows", *JOINTS]
+
+
+def __getattr__(name: str) -> JointType:
+    """Raise AttributeError for a joint that does not exist, with the name that it has here."""
+    here = synonyms.JOINTS.get(name.lower())
+    raise no_attribute("lierb.joints", name, JOINTS, {name: here} if here else {})
 
 
 def __dir__() -> list[str]:
