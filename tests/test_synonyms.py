@@ -5,11 +5,12 @@ from __future__ import annotations
 import inspect
 import re
 
+import numpy as np
 import pytest
 
 import lierb
 from lierb import synonyms
-from lierb.errors import UnknownNameError, unknown_name
+from lierb.errors import ArgumentError, ForceError, UnknownNameError, unknown_name
 from lierb.sampling.distributions import DISTRIBUTIONS
 
 NAMES_HERE = {
@@ -113,3 +114,48 @@ def test_attributes_and_columns_of_results_of_other_packages_are_told():
     assert "height_max" in result
     assert "height" not in result
     assert 0 not in result
+
+
+BODY, BALL = lierb.Body(2.0, (0.1, 0.2, 0.25)), lierb.joints.spherical()
+ARM = lierb.Mechanism(lierb.Link("arm", BODY, lierb.joints.revolute()))
+SHAPES = {
+    "coordinates for pose0": (
+        lambda: run(ARM, pose0=[0.1]),
+        r"mechanism\.pose\({'arm': …}\) makes",
+    ),
+    "coordinates by link": (lambda: run(ARM, pose0={"arm": 0.1}), r"mechanism\.pose make poses"),
+    "rates for twist0": (lambda: run(ARM, twist0=[0.1]), r"mechanism\.twist\({'arm': …}\) makes"),
+    "rates by link": (lambda: run(ARM, twist0={"arm": 0.1}), r"mechanism\.twist those of links"),
+    "omega for twist0": (lambda: run(FLIGHT, twist0=(1, 2, 3)), r"ω, then v.*joint\.twist\(omega"),
+    "columns": (lambda: run(FLIGHT, twist0=np.ones((6, 10))), r"\(6, 10\).*give twist0\.T"),
+    "quaternion": (lambda: BALL.pose((1, 0, 0, 0)), r"scalar_first=True"),
+    "quaternions": (lambda: BALL.pose(rotation=np.ones((5, 4))), r"scalar_first=True"),
+    "angles": (lambda: BALL.pose(rotation=(0.1, 0.2, 0.3)), r"Rotation\.from_euler"),
+    "inertia": (lambda: lierb.Body(1.0, (1, 1, 1, 0, 0, 0)), r"xx, xy, xz, yy, yz, zz in URDF"),
+    "gravity": (lambda: lierb.Problem(BODY, BALL, gravity=-9.81), r"such as \(0, 0, -9\.81\)"),
+    "gravity of links": (lambda: lierb.Mechanism(ARM.links, gravity=9.81), r"\(0, 0, -9\.81\)"),
+    "letter": (lambda: lierb.joints.revolute(axis="-Y"), r"got '-Y'; give .* \(0, -1, 0\)"),
+    "function": (lambda: ARM.with_(events=lambda t: t), r"decorate it with @lierb\.event"),
+    "functions": (lambda: ARM.with_(forces=[lambda t: t]), r"forces\[0\].*@lierb\.wrench"),
+}
+FLIGHT = lierb.Problem(BODY, lierb.joints.free())
+
+
+def run(model, **start):
+    lierb.integrate(model, dt=0.1, t_end=0.1, **start)
+
+
+@pytest.mark.parametrize("what", SHAPES)
+def test_forms_of_numbers_of_other_packages_are_told(what):
+    call, text = SHAPES[what]
+    with pytest.raises(ArgumentError, match=text):
+        call()
+
+
+def test_wrench_of_one_vector_is_told():
+    @lierb.wrench
+    def push(t, R, r, omega, v):
+        return np.array([0.0, 0.0, 1.0])
+
+    with pytest.raises(ForceError, match="2 vectors, torque and force, not an array"):
+        push()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Iterable
 from dataclasses import replace
 from typing import Any
@@ -37,6 +38,10 @@ ELEMENTS: dict[str, type[Element]] = {
     "states": ExtraStates,
     "controllers": Controller,
 }
+DECORATORS = {
+    "forces": "wrench", "constraints": "constraint", "observables": "observable",
+    "events": "event", "states": "states", "controllers": "controller",
+}  # fmt: skip
 
 
 def shown_element(element: Element) -> str:
@@ -56,6 +61,13 @@ def all_of(argument: str, given: Any, kind: type, one: str, several: str) -> Any
     items = items_of(argument, given, several) if isinstance(given, Iterable) else (given,)
     for number, item in enumerate(items):
         reject_functions(f"{argument}[{number}]", item)
+        if argument in DECORATORS and inspect.isroutine(item):
+            name = getattr(item, "__name__", "function")
+            raise ArgumentError(
+                f"{argument}[{number}] is the function {name}; decorate it with "
+                f"@lierb.{DECORATORS[argument]}, and call it, with its parameters if it has any: "
+                f"{name}(…)"
+            )
         require(f"{argument}[{number}]", item, kind, one)
     return items
 

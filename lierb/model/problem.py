@@ -47,11 +47,13 @@ from lierb.model.mechanism.start_checks import violation_of_body
 from lierb.model.numbers import numbers_of, parameters_of
 from lierb.model.unfit import unfit_constraint, unfit_place, unfit_rate
 from lierb.support.arrays import (
+    GRAVITY,
     Array,
     Pose,
     as_number,
     as_numbers,
     as_poses,
+    as_twists,
     assembled,
     components,
     finite,
@@ -128,7 +130,8 @@ class Problem(Model):
     ) -> None:
         require("body", body, Body, "a lierb.Body")
         require("joint", joint, Joint, "a joint from lierb.joints, such as spherical(…)")
-        self._set(body=body, joint=joint, gravity=as_numbers("gravity", gravity, (3,)))
+        pull = as_numbers("gravity", gravity, (3,), hint=GRAVITY)
+        self._set(body=body, joint=joint, gravity=pull)
         elements = forces, constraints, observables, events, states, controllers
         self._set_elements(*elements, ground_motion=ground_motion)
         if len(self.rows) > MOST_ROWS:
@@ -225,7 +228,7 @@ class Problem(Model):
         self, pose0: Any, twist0: Any, t0: float = 0.0, number: int | None = None
     ) -> LierbError | None:
         poses = self.joint.closed_pose if pose0 is None else as_poses("pose0", pose0)
-        twists = None if twist0 is None else as_numbers("twist0", twist0, (6,))
+        twists = None if twist0 is None else as_twists("twist0", twist0)
         return violation_of_body(self, poses, twists, t0, number)
 
     def parameters(self, at: Connection | None = None) -> Parameters:
@@ -348,7 +351,7 @@ class Problem(Model):
         >>> wheel.project((1.0, 2.0, 3.0, 4.0, 5.0, 6.0)).round(9).tolist()
         [0.0, 0.0, 3.0, 0.0, 0.0, 0.0]
         """
-        twists, start = as_numbers("twist", twist, (6,)), as_number("t0", t0)
+        twists, start = as_twists("twist", twist), as_number("t0", t0)
         pose = self.joint.closed_pose if pose is None else as_poses("pose", pose)
         self.batch_size(twist=(twists, 1), pose=(pose, 2))
         with np.errstate(all="ignore"):

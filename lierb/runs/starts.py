@@ -16,7 +16,7 @@ from lierb.runs.inputs import Inputs
 from lierb.runs.lane_engine import LaneTime
 from lierb.runs.options import Options
 from lierb.runs.time_options import checked_numbers
-from lierb.support.arrays import Array, as_numbers, as_poses
+from lierb.support.arrays import Array, as_poses, as_twists
 
 ByLink = dict[str, Array]
 
@@ -107,7 +107,7 @@ def arrays_of(model: Model, argument: str, given: Any) -> ByLink:
     values = model.by_link(argument, given)
     labels = {link: model.label(argument, link) for link in model.link_names}
     if not argument.endswith("pose0"):
-        return {k: as_numbers(label, values[k], (6,), copy=None) for k, label in labels.items()}
+        return {k: as_twists(label, values[k], copy=None) for k, label in labels.items()}
     if continuation_of(given) is not None:  # the end of a run, which may have drifted
         return {link: np.asarray(each) for link, each in values.items()}
     return {link: as_poses(label, values[link], copy=None) for link, label in labels.items()}

@@ -12,6 +12,7 @@ from lierb.kernels.mechanics.newton_euler import unit_inertia
 from lierb.support.arrays import (
     Array,
     Which,
+    as_floats,
     as_numbers,
     assembled,
     batch_size,
@@ -26,6 +27,10 @@ SYMMETRY_TOLERANCE = 1e-12  # relative to the largest entry
 TRIANGLE_TOLERANCE = 1e-12  # relative to the largest principal moment
 ROUNDING = 1e-15  # of m c² in an inertia about the origin, relative
 POINTS = ("origin", "com")  # points to which an inertia may refer
+SIX = (
+    "; give the matrix [[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]: six numbers are xx, xy, xz, "
+    'yy, yz, zz in URDF and xx, yy, zz, xy, xz, yz in MJCF, where they go with about="com"'
+)
 MOMENTS_OF_EACH = "inertia[:, :, None] * np.eye(3)"
 
 
@@ -80,7 +85,8 @@ class Body(Represented):
     ) -> None:
         require_name("about", about, POINTS)
         masses = as_numbers("mass", mass, ())
-        moments = as_numbers("inertia", inertia, (3,), (3, 3))
+        is_six = as_floats("inertia", inertia).shape[-1:] == (6,)
+        moments = as_numbers("inertia", inertia, (3,), (3, 3), hint=SIX * is_six)
         centre = as_numbers("com", (0.0, 0.0, 0.0) if com is None else com, (3,))
         if moments.shape == (3, 3) and batch_size(mass=masses, com=(centre, 1)) == 3:
             raise two_readings(

@@ -31,6 +31,7 @@ from lierb.support.arrays import (
     as_numbers,
     as_poses,
     as_rotations,
+    as_twists,
     assembled,
     batch_size,
     components,
@@ -241,7 +242,7 @@ class Joint(Represented):
         >>> plane.velocities((0.0, 0.0, 0.0, 1.0, 0.0, 0.0), turned).round(9).tolist()
         [0.0, -1.0, 0.0]
         """
-        motions, moving = self.motions, as_numbers("twist", twist, (6,))
+        motions, moving = self.motions, as_twists("twist", twist)
         placed = self._placed(pose)
         batch_size(twist=(moving, 1), pose=(placed, 2), body_frame=(self.body_frame, 2))
         in_body = se3.inverse(pose_components(self.body_frame))
