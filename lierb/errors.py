@@ -167,7 +167,7 @@ def unknown_name(argument: str, got: object, known: Iterable[str]) -> UnknownNam
     lowered = {name.lower(): name for name in names}
     if synonym := here(got, lowered):
         return UnknownNameError(
-            f"{argument}={brief(got)} is a name of other packages; take {synonym!r} here"
+            f"{argument}={brief(got)} is a name of other packages; take {synonym} here"
         )
     text = got[:100].lower() if isinstance(got, str) else ""
     near = get_close_matches(text, list(lowered), n=1, cutoff=NEAR)

@@ -36,6 +36,20 @@ DISTRIBUTIONS = {
 }  # fmt: skip
 NAMES = METHODS | JOINTS | DISTRIBUTIONS
 
+FORCES = {
+    "spring": "spring_damper, torsional_spring or slide_spring", "damper": "spring_damper",
+    "linear_spring": "spring_damper", "gravity": "the argument gravity of the model",
+    "actuator": "motor", "position_actuator": "torsional_spring or slide_spring",
+    "friction": "joint_friction or slide_friction", "frictionloss": "joint_friction",
+    "limit": "joint_limit or slide_limit", "equality": "gear, or a lierb.Loop",
+    "mimic": "gear", "external_force": "constant_wrench",
+    "contact": "lierb.wrench: lierb has no contacts", "tendon": "lierb.wrench: there are none",
+}  # fmt: skip
+BODIES = {
+    "cuboid": "box", "cube": "box", "capsule": "cylinder", "ellipsoid": "lierb.Body",
+    "mesh": "from_mesh", "ball": "sphere", "point": "sphere, with a small radius",
+}  # fmt: skip
+
 _STEP, _START = "dt=, the length of the steps", 'save_at=, the times, with record="state"'
 ARGUMENTS = {  # of `lierb.integrate`
     "t_span": "t0= and t_end=", "tspan": "t0= and t_end=", "t_final": "t_end=", "tf": "t_end=",
@@ -105,9 +119,13 @@ RESULTS = {  # attributes of a result
 
 
 def here(name: object, known: dict[str, str]) -> str | None:
-    """Return the name here of a name elsewhere, if it is one of the known ones.
+    """Return what to take for a name elsewhere, if that is among the known names.
 
     known : names here, by their names in lower case.
     """
-    found = NAMES.get(name.lower()) if isinstance(name, str) else None
-    return known.get(found.lower()) if found else None
+    if not isinstance(name, str):
+        return None
+    if arguments := ARGUMENTS.get(name):
+        return arguments if any(f"{each}=" in arguments for each in known) else None
+    found = known.get(NAMES.get(name.lower(), "").lower())
+    return repr(found) if found else None

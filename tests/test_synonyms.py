@@ -32,7 +32,8 @@ def test_suggestions_have_the_same_meaning():
     flight = lierb.Problem(lierb.bodies.sphere(0.1, mass=1.0), lierb.joints.free())
     with pytest.raises(UnknownNameError, match=r"'implicitfast' .* take 'Rodas4' here"):
         lierb.integrate(flight, dt=0.1, t_end=1.0, method="implicitfast")
-    assert "Did you mean" not in str(unknown_name("key", "timestamp", ["max_steps", "dt"]))
+    assert "take dt=" in str(unknown_name("option", "timestep", ["max_steps", "dt"]))
+    assert "Did you mean" not in str(unknown_name("key", "gaussian", ["values", "uniform"]))
 
 
 KEYWORDS = {
@@ -72,6 +73,13 @@ def test_names_of_joints_and_their_arguments_in_other_packages_are_told():
     for name, here in {"hinge": "revolute", "JointModelRX": "revolute", "weld": "fixed"}.items():
         with pytest.raises(AttributeError, match=rf"^lierb.joints has no '{name}'.* {here}$"):
             getattr(lierb.joints, name)
+    for name, text in {"spring": "take spring_damper", "frictionloss": "joint_friction"}.items():
+        with pytest.raises(AttributeError, match=rf"^lierb.forces has no '{name}'; .*{text}"):
+            getattr(lierb.forces, name)
+    with pytest.raises(AttributeError, match=r"^lierb.bodies has no 'cube'; take box$"):
+        _ = lierb.bodies.cube
+    assert not synonyms.FORCES.keys() & {*lierb.forces.__all__}
+    assert not synonyms.BODIES.keys() & {*lierb.bodies.__all__}
     with pytest.raises(AttributeError, match="Did you mean 'prismatic'"):
         _ = lierb.joints.prismatc
     with pytest.raises(TypeError, match=r"joint .*'pos'.*body_point="):

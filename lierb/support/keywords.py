@@ -52,7 +52,7 @@ def no_attribute(
 
 
 def _remedy(name: str, synonyms: Mapping[str, str], known: Iterable[str], verb: str) -> str:
-    if name in synonyms:
-        return f"; {verb} {synonyms[name]}"
+    if here := synonyms.get(name) or synonyms.get(name.lower()):
+        return f"; {verb} {here}"
     near = get_close_matches(name, list(known), n=1, cutoff=NEAR)
     return f". Did you mean {near[0]!r}?" if near else ""

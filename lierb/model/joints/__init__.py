@@ -6,6 +6,8 @@ The rows are those of `lierb.kernels.mechanics.rows`, in the order of λ. They a
 rotation axis of Q ⊥ e₃.
 """
 
+from typing import TYPE_CHECKING, NoReturn
+
 from lierb import synonyms
 from lierb.model.joints.catalogue import *  # noqa: F403
 from lierb.model.joints.catalogue import from_rows
@@ -16,10 +18,11 @@ from lierb.support.keywords import no_attribute
 __all__ = ["JOINTS", "Joint", "JointType", "from_rows", *JOINTS]
 
 
-def __getattr__(name: str) -> JointType:
-    """Raise AttributeError for a joint that does not exist, with the name that it has here."""
-    here = synonyms.JOINTS.get(name.lower())
-    raise no_attribute("lierb.joints", name, JOINTS, {name: here} if here else {})
+if not TYPE_CHECKING:
+
+    def __getattr__(name: str) -> NoReturn:
+        """Raise AttributeError for a name that does not exist, with the one that it has here."""
+        raise no_attribute("lierb.joints", name, __all__, synonyms.JOINTS)
 
 
 def __dir__() -> list[str]:
