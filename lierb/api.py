@@ -41,10 +41,14 @@ from lierb.runs.starts import Ready, ready
 from lierb.runs.stiff_runs import warn_of_stiff_run
 from lierb.runs.stiffness import warn_of_stiff_steps
 from lierb.runs.switches import warn_of_switches
+from lierb.runs.unfit_functions import unfit_function
 from lierb.support.arrays import Array
+from lierb.support.keywords import explains_keywords
 from lierb.support.progress import Progress, check_progress
+from lierb.synonyms import ARGUMENTS
 
 
+@explains_keywords(ARGUMENTS)
 def integrate(
     problem: Problem | Mechanism,
     *,
@@ -250,7 +254,7 @@ def integrate(
     )  # fmt: skip
     return integrate_model(
         model, options, pose0, twist0, with_respect_to=with_respect_to, threads=threads,
-        progress=progress, stacklevel=3,
+        progress=progress, stacklevel=4,
     )  # fmt: skip
 
 
@@ -305,7 +309,8 @@ def integrate_model(
         raise no_room(prepared) from error
     if np.count_nonzero(output.status):  # OK is 0; quicker than any()
         failures = Failures.of(result.summary)
-        warn_of(failures, "`failed` of the result lists them", stacklevel=stacklevel + 1)
+        look = f"`failed` of the result lists them{unfit_function(prepared, output)}"
+        warn_of(failures, look, stacklevel=stacklevel + 1)
     warn_of_motors(model, result.summary, stacklevel=stacklevel + 1)
     return result
 
@@ -317,9 +322,8 @@ def start_check(prepared: Ready, stacklevel: int) -> engine.StartCheck | None:
         return None
 
     def check(is_on_joint: Array, first: int) -> bool:
-        start = prepared.pose0, prepared.twist0, options.timing.t0
         for body in np.flatnonzero(is_on_joint == 0.0).tolist():
-            if error := model.violation(*start, number=first + body):
+            if error := model.violation(*prepared.start, number=first + body):
                 _report(error, options, stacklevel)
                 return False
         return True  # the flagged start is at the tolerance, up to rounding
@@ -337,13 +341,12 @@ def report_start(prepared: Ready, stacklevel: int) -> None:
     be compiled.
     """
     model, options, plan = prepared.model, prepared.options, prepared.plan
-    start = prepared.pose0, prepared.twist0, options.timing.t0
     if not prepared.is_checked:
         return
     if not model.flags_starts:
-        _report(model.violation(*start), options, stacklevel + 1)
+        _report(model.violation(*prepared.start), options, stacklevel + 1)
     elif options.on_violation == "raise" and plan.rows and plan not in _checked_plans:
-        _report(model.violation(*start, number=0), options, stacklevel + 1)
+        _report(model.violation(*prepared.start, number=0), options, stacklevel + 1)
         _checked_plans.add(plan)
 
 

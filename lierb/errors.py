@@ -11,6 +11,8 @@ from itertools import islice
 from reprlib import Repr
 from typing import Any
 
+from lierb.synonyms import here
+
 __all__ = [
     "LierbError", "ArgumentError", "UnknownNameError", "InertiaError", "ForceError", "PoseError",
     "TwistError", "StudyError", "StudyFileError", "TimeGridError", "MemoryLimitError",
@@ -123,6 +125,7 @@ class ForkError(RuntimeError):
     """The process was forked after its threads had started; they do not exist in the child."""
 
 
+NEAR = 0.5  # least similarity of a name that is suggested
 MOST_ITEMS = 10**6  # limit for an iterable argument, which may be infinite
 
 _short = Repr()
@@ -159,11 +162,15 @@ def require_name(argument: str, got: object, known: Iterable[str]) -> None:
 
 
 def unknown_name(argument: str, got: object, known: Iterable[str]) -> UnknownNameError:
-    """Return the error for a name outside `known`, with the nearest one suggested."""
+    """Return the error for a name outside `known`, with its synonym or the nearest one."""
     names = list(known)
     lowered = {name.lower(): name for name in names}
+    if synonym := here(got, lowered):
+        return UnknownNameError(
+            f"{argument}={brief(got)} is a name of other packages; take {synonym} here"
+        )
     text = got[:100].lower() if isinstance(got, str) else ""
-    near = get_close_matches(text, list(lowered), n=1, cutoff=0.4)
+    near = get_close_matches(text, list(lowered), n=1, cutoff=NEAR)
     hint = f" Did you mean {lowered[near[0]]!r}?" if near else ""
     return UnknownNameError(
         f"{argument}={brief(got)} is unknown; choose from {', '.join(names)}.{hint}"

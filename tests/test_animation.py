@@ -247,6 +247,35 @@ def test_magnify_is_where_the_slider_begins(spun):
     }  # fmt: skip
 
 
+def test_magnified_bodies_stay_in_view(spun):
+    """A gap of the bodies' size, in the view of the motion, is the most that is shown."""
+    asked = lierb.animate(spun["SO3xR3"], magnify=1e12).scene
+    largest = spun["SO3xR3"].summary["position_error_max"].to_numpy().max()
+    assert asked["magnified"] == asked["magnify"] < 1e12
+    assert 0.1 * asked["size"] < largest * asked["magnified"] < 0.5 * asked["size"]
+    assert any("instead of 1e+12" in note for note in asked["notes"])
+    assert not lierb.animate(spun["SO3xR3"], magnify=10.0).scene["notes"]
+
+
+@pytest.mark.slow
+def test_gaps_of_joints_that_are_exact_are_zero():
+    """As the curves of their errors are: the poses are rounded."""
+    rod, axis = lierb.bodies.box((0.1, 0.1, 1.0), mass=1.0), (0.3, 1.0, 0.2)
+    hinges = (
+        lierb.joints.revolute((0.0, 0.1, 0.5), axis=axis, ground_point=(0.3, 0.4, 1.0)),
+        lierb.joints.revolute((0.0, 0.0, 0.5), axis=axis, parent_point=(0.1, 0.0, -0.5)),
+    )
+    links = lierb.Link("a", rod, hinges[0]), lierb.Link("b", rod, hinges[1], "a")
+    chain, saved = lierb.Mechanism(links), {"dt": 0.01, "t_end": 0.5, "save_every": 5}
+    start = {"twist0": chain.twist({"a": 3.0, "b": -5.0})}
+    for cspace, is_exact in (("reduced", True), ("SE3", False)):
+        run = {**start, **saved, "record": "state", "cspace": cspace}
+        (view,) = lierb.integrate(chain, **run).animate().scene["views"]
+        gaps = np.hstack([decoded(each["gap"]) for each in view["joints"]])
+        assert np.any(decoded(view["values"]["position_error"])) != is_exact
+        assert np.any(gaps) != is_exact
+
+
 def test_long_histories_are_thinned_and_keep_their_largest_errors(spun):
     result = spun["SO3xR3"]
     assert len(result.t) < FRAMES
@@ -473,7 +502,7 @@ const pen = (name) => { let p = []; return {
   "setLineDash", "setTransform", "clearRect", "strokeText", "drawImage", "save", "restore", "rect",
   "clip", "fillRect"].map((x) => [x, () => 0])) }; };
 const element = (name, w = 0, h = 0) => ({ clientWidth: w, clientHeight: h, width: 0, height: 0,
-  style: {}, getContext: () => pen(name), addEventListener() {}, append() {} });
+  style: { setProperty() {} }, getContext: () => pen(name), addEventListener() {}, append() {} });
 const elements = {};
 global.document = { documentElement: {}, addEventListener() {},
   querySelector: (name) => element(name, 800, name.includes("stage") ? 600 : 120),
@@ -490,6 +519,48 @@ global.requestAnimationFrame = (draw) => { if (!frames++) draw(0); };
 @lierb.observable(unit="m")
 def height(r):
     return r[2]
+
+
+@pytest.mark.skipif(not NODE, reason="no node here")
+def test_strips_have_room_for_their_titles():
+    calls = [(count, width) for count in range(1, 7) for width in range(280, 1300, 60)]
+    script = (
+        f"const {{ strips }} = require({json.dumps(str(PLAYER))});"
+        f"console.log(JSON.stringify({json.dumps(calls)}.map(([n, w]) => strips(n, w, 100))))"
+    )
+    done = subprocess.run([NODE, "-e", script], capture_output=True, text=True, check=True)
+    for (count, width), found in zip(calls, json.loads(done.stdout), strict=True):
+        corners = [(box["x"] - 44, box["y"] - 20) for box in found["boxes"]]
+        across = width / max(sum(y == corners[0][1] for _, y in corners), 1)
+        assert len({*corners}) == count
+        assert across >= 125  # "position error [m]" takes 105
+        assert found["rows"] == -(-count // (width // 125))
+        for x, y in corners:
+            assert 0 <= x <= width - across + 1e-9
+            assert 0 <= y <= 100 - 100 / found["rows"] + 1e-9
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not NODE, reason="no node here")
+def test_ground_axes_are_seen_when_the_camera_follows():
+    body = lierb.bodies.box((0.3, 0.1, 0.05), mass=1.0)
+    flight = lierb.Problem(body, lierb.joints.free(), gravity=(0.0, 0.0, -9.81))
+    run = {"twist0": (1.0, 2.0, 3.0, 10.0, 0.0, 20.0), "dt": 0.01, "t_end": 4.0, "save_every": 4}
+    scene = lierb.integrate(flight, **run, record="state").animate().scene
+    assert scene["follow"]
+    script = (
+        f"const scene = {json.dumps(json.dumps(scene))};{STUB}"
+        f"require({json.dumps(str(PLAYER))});"
+        "const at = (t) => { drawn.length = 0; window.lierb.seek(t); window.lierb.draw();"
+        "  return drawn.filter(([name, colour]) => colour === '#888').map(([, , p]) => p); };"
+        "console.log(JSON.stringify([at(0), at(2), at(4)]))"
+    )
+    done = subprocess.run([NODE, "-e", script], capture_output=True, text=True, check=True)
+    for lines in json.loads(done.stdout):
+        points = np.array(lines)
+        assert points.shape == (3, 2, 2)  # e₁, e₂, e₃
+        assert np.all((points > 0.0) & (points < (800.0, 600.0)))
+        assert np.linalg.norm(points[2, 1] - points[2, 0]) > 15.0  # up, in pixels
 
 
 @pytest.mark.slow
@@ -542,10 +613,20 @@ def test_targets_are_points_paths_and_poses_and_stay_in_view(spun):
     assert alone["name"] == ""
 
 
+def test_a_far_target_leaves_the_motion_in_sight(spun):
+    alone = lierb.animate(spun["SE3"]).scene
+    far = lierb.animate(spun["SE3"], targets={"far": (0.0, 1000.0, 0.0)}).scene
+    assert (far["radius"], far["centre"]) == (alone["radius"], alone["centre"])
+    assert far["notes"] == ["Far from the motion, and out of sight: far."]
+    assert far["targets"][0]["points"] == [[0.0, 1000.0, 0.0]]
+
+
 @pytest.mark.parametrize(
     ("targets", "message"),
     [
-        ((1.0, 2.0), r"targets has shape \(2,\); expected \(3,\)"),
+        ((1.0, 2.0), r"targets has shape \(2,\); expected \(3,\), \(k, 3\) of a path or \(4, 4\)$"),
+        (np.zeros((0, 3)), r"targets has shape \(0, 3\); expected \(3,\), \(k, 3\) of a path"),
+        (np.zeros((2, 2, 3)), r"targets has shape \(2, 2, 3\); expected \(3,\)"),
         ({"goal": np.zeros((2, 4, 4))}, r"targets\['goal'\] has shape \(2, 4, 4\)"),
         ({"goal": np.ones((4, 4))}, r"targets\['goal'\]"),
         ((np.nan, 0.0, 0.0), r"targets\[0\] is nan"),

@@ -1242,11 +1242,3 @@ def test_study_that_is_no_path_is_told_as_such(study, tmp_path):
     for call in calls:
         with pytest.raises(ArgumentError, match=r"expected a lierb\.Study, or the path"):
             call(study)
-
-
-def test_names_of_methods_in_other_packages_are_told():
-    flight = lierb.Problem(lierb.bodies.sphere(0.1, mass=1.0), lierb.joints.free())
-    for name, here in lierb.methods.ELSEWHERE.items():
-        assert here in lierb.methods.METHODS
-        with pytest.raises(UnknownNameError, match=f"take '{here}' here"):
-            lierb.integrate(flight, dt=0.1, t_end=1.0, method=name)

@@ -6,6 +6,7 @@ from cases import integrate
 
 import lierb
 from lierb.errors import ArgumentError
+from lierb.support.extras import MissingExtraError
 
 MASS, DENSITY = 3.7, 850.0
 SIZE, RADIUS, LENGTH = (0.3, 0.7, 0.2), 0.4, 1.3
@@ -142,5 +143,5 @@ def test_what_is_no_mesh_is_refused():
 
 def test_missing_trimesh_says_what_to_install(monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "trimesh", None)
-    with pytest.raises(ArgumentError, match=r"from_mesh needs trimesh: .*pip install"):
+    with pytest.raises(MissingExtraError, match=r"mesh needs trimesh, .*pip install"):
         lierb.bodies.from_mesh("body.stl", mass=1.0)

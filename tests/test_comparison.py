@@ -112,6 +112,15 @@ def test_errors_are_distances_from_the_reference(found, exact):
     assert row["drift.energy"] == np.max(result.summary["energy_drift_max"].to_pylist())
 
 
+def test_motion_starts_at_rest_by_default():
+    calls = [
+        lierb.convergence(box_top(), "RK4", [0.02, 0.01], t_end=0.1, repeats=0, **start)
+        for start in ({}, {"twist0": np.zeros(6)})
+    ]
+    assert calls[0].table.equals(calls[1].table)
+    assert max(calls[0].table["error.omega"].to_pylist()) > 0.0
+
+
 def test_median_is_that_of_the_trajectories(exact):
     options = {"twist0": twists(), "t_end": T_END, "reference": exact, "repeats": 0}
     median = lierb.convergence(box_top(), "RK4", DTS[0], norm="median", **options).table

@@ -251,7 +251,7 @@ def test_function_that_branches_runs_body_by_body_and_says_so_once():
     ("function", "message"),
     [
         (lambda t, R: None, r"takes \(t, R\); expected the form \(t, R, r, omega, v, params\)"),
-        (lambda t, R, r, omega, v, params: 3.0, "must return 2 vectors, not 3.0"),
+        (lambda t, R, r, omega, v, params: 3.0, "must return 2 vectors, torque and force, not 3.0"),
         (lambda t, R, r, omega, v, params: ((1, 2), (1, 2, 3)), r"3 components, not \(1, 2\)"),
         (lambda t, R, r, omega, v, params: (r, "pull"), "3 components, not 'pull'"),
         (lambda t, R, r, omega, v, params: (r, r / params.width), "'width'"),

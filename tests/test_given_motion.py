@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 from cases import column, integrate, tiered
@@ -83,6 +85,23 @@ def test_angles_continue_over_whole_turns():
     turned = np.arctan2(R[:, 1, 0], R[:, 0, 0]) - np.array([40.0, -6.0])
     np.testing.assert_allclose(np.sin(turned / 2.0), 0.0, atol=1e-14)  # rounding of 40 rad
     assert np.max(column(result.summary, "rotation_error_max")) < 1e-14
+
+
+@pytest.mark.parametrize("is_mechanism", [True, False])
+def test_rest_by_default_is_named_with_a_call_that_helps(is_mechanism):
+    rod, hinge = lierb.bodies.box((0.05, 0.05, 0.5), mass=1.0), lierb.joints.revolute()
+    drive = lierb.forces.motor(speed=[2.0, 3.0])
+    problem = lierb.Problem(rod, hinge, forces=drive)
+    mechanism = lierb.Mechanism(lierb.Link("rod", rod, hinge), forces=drive)
+    model = mechanism if is_mechanism else problem
+    with pytest.raises(TwistError, match=r"^twist0\[0\] \(rest, by default\) violates") as caught:
+        lierb.integrate(model, dt=0.1, t_end=0.2)
+    call = re.search(r"twist0=(\w+\.project\(.*\)) is the nearest", str(caught.value))[1]
+    pose0 = model.by_link("pose", mechanism.pose() if is_mechanism else np.eye(4))
+    names = {"mechanism": mechanism, "problem": problem, "np": np}
+    twist0 = eval(call, names, {"pose0": model.from_links(pose0)})
+    (twist,) = model.by_link("twist", twist0).values()
+    np.testing.assert_allclose(twist[:, :3], [(0.0, 0.0, 2.0), (0.0, 0.0, 3.0)], atol=1e-15)
 
 
 def test_a_start_must_have_position_and_speed():

@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 
 import lierb
 from lierb.errors import ArgumentError, LeftOutWarning
+from lierb.support.extras import MissingExtraError
 
 mujoco = pytest.importorskip("mujoco")
 
@@ -1063,7 +1064,7 @@ def test_files_without_a_mechanism_are_refused(tmp_path, text, message):
 
 def test_what_to_install_is_said(monkeypatch):
     monkeypatch.setitem(sys.modules, "mujoco", None)
-    with pytest.raises(ArgumentError, match=r"reading URDF needs mujoco: .*pip install .*mjcf"):
+    with pytest.raises(MissingExtraError, match=r"URDF needs mujoco, .*pip install .*mjcf"):
         lierb.Mechanism.from_urdf(DATA / "arm.urdf")
 
 

@@ -135,3 +135,40 @@ def test_limits_keep_their_order():
     model = lierb.Problem(ROD, lierb.joints.revolute(**HINGE), forces=limit)
     with pytest.raises(ArgumentError, match=r"joint_limit: lower is 0\.7, above upper"):
         model.with_({"joint_limit.lower": 0.7})
+
+
+CHANGES = {
+    "heavier": {"mass": 5.0},
+    "lighter": {"mass": [0.5, 3.0]},
+    "moved": {"com": (0.1, 0.0, 0.6)},
+    "given": {"mass": 3.0, "inertia": (0.2, 0.2, 0.05)},
+    "batch": {"com": [(0.0, 0.0, 0.1), (0.0, 0.1, 0.6), (0.0, 0.0, 0.0)], "mass": 1.5},
+}
+
+
+@pytest.mark.parametrize("is_mechanism", [True, False])
+@pytest.mark.parametrize("name", CHANGES)
+def test_inertia_about_the_centre_of_mass_stays(name, is_mechanism):
+    """The changed body is the one that `Body` makes with about="com"."""
+    given = {"mass": 2.0, "inertia": (0.1, 0.1, 0.02), "com": (0.0, 0.0, 0.5)}
+    numbers = CHANGES[name]
+    body, joint = lierb.Body(**given, about="com"), lierb.joints.revolute()
+    model = lierb.Problem(body, joint)
+    if is_mechanism:
+        model = lierb.Mechanism(lierb.Link("arm", body, joint))
+    prefix = "arm.body." if is_mechanism else "body."
+    (found,) = model.with_({prefix + k: x for k, x in numbers.items()}, about="com").bodies
+    expected = lierb.Body(**given | numbers, about="com")
+    np.testing.assert_allclose(found.inertia, expected.inertia, rtol=1e-14, atol=1e-16)
+    np.testing.assert_array_equal(found.mass, expected.mass)
+    np.testing.assert_array_equal(found.com, expected.com)
+
+
+def test_inertia_about_the_origin_stays_by_default():
+    body = lierb.Body(2.0, (0.1, 0.1, 0.02), com=(0.0, 0.0, 0.5), about="com")
+    arm = lierb.Problem(body, lierb.joints.revolute())
+    assert arm.with_({"body.mass": 2.2}).body.inertia.tolist() == body.inertia.tolist()
+    with pytest.raises(InertiaError, match=r'about="com"'):
+        arm.with_({"body.mass": 3.0})
+    with pytest.raises(UnknownNameError, match="about="):
+        arm.with_({"body.mass": 3.0}, about="centre")

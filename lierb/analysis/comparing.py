@@ -39,8 +39,10 @@ from lierb.runs.provenance import machine
 from lierb.runs.time_options import checked_time
 from lierb.support.arrays import as_positive, is_whole
 from lierb.support.collected_warnings import warnings_collected
+from lierb.support.keywords import explains_keywords
 from lierb.support.progress import check_progress, reporter
 from lierb.support.representations import counted, rounded
+from lierb.synonyms import ARGUMENTS
 
 Progress = bool | Callable[[int, int, str], object] | None
 
@@ -52,12 +54,13 @@ COUNTED = (
 )
 
 
+@explains_keywords(ARGUMENTS)
 def convergence(
     problem: Problem | Mechanism,
     methods: str | Method | Iterable[str | Method] = ("RK4",),
     dts: ArrayLike | None = None,
     *,
-    twist0: ArrayLike | Mapping[str, ArrayLike],
+    twist0: ArrayLike | Mapping[str, ArrayLike] | None = None,
     t_end: float,
     pose0: Any = None,
     t0: float = 0.0,
@@ -87,8 +90,8 @@ def convergence(
     dts : array_like, shape (m,), optional
         Fixed steps, s; a whole number of each must fit between t0 and t_end. At least one of `dts`
         and `rtols` is required.
-    twist0 : array_like, shape (6,) or (n, 6), or dict of them
-        Body-fixed twist at t0, as in `integrate`.
+    twist0 : array_like, shape (6,) or (n, 6), or dict of them, optional
+        Body-fixed twist at t0, as in `integrate`. Default: at rest.
     t_end : float
         End time, s.
     pose0 : array_like, Rotation or RigidTransform, (4, 4) or (n, 4, 4), or dict of them, optional

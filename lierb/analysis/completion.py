@@ -136,10 +136,15 @@ class Completion:
     def _solutions(self, at: Configurations) -> tuple[list[Array], Array]:
         """Return bases of the feasible velocities, (k, 6 nodes) at each configuration.
 
-        The second array has the least nonzero singular value of J at each configuration.
+        The second array has the least nonzero singular value of J at each configuration. No
+        velocity is known where J is not finite.
         """
         bases, margins = [], []
         for gradients in self.space.at(at).gradients:
+            if not np.isfinite(gradients).all():  # outside the domain of a user's function
+                bases.append(np.empty((0, 6 * len(self.space.tree))))
+                margins.append(0.0)
+                continue
             free, margin = null_space(gradients)
             bases.append(self.space.lifted(free))
             margins.append(margin)
@@ -199,9 +204,14 @@ class Completion:
         rows = self.space.at(self._anywhere(self.algebra, 3 * BATCH))
         allowed = CONSTANT * (1.0 + rows.far) + self.rounding + self.left
         jacobians = rows.gradients * rows.lengths[..., None]
-        change = np.abs(jacobians - jacobians[:1]).max(axis=-1, initial=0.0)
+        is_known = np.isfinite(rows.values).all(axis=1) & np.isfinite(jacobians).all(axis=(1, 2))
+        if not is_known.any():  # all are outside the domain of a user's function
+            return np.zeros(len(self.space.rows), dtype=bool)
+        known = jacobians[is_known]
+        change = np.abs(known - known[:1]).max(axis=-1, initial=0.0)
         on_pose = np.array([r.is_holonomic for r in self.space.rows], dtype=bool)
-        return np.all(np.where(on_pose, np.abs(rows.values), change) <= allowed, axis=0)
+        off = np.where(on_pose, np.abs(rows.values[is_known]), change)
+        return np.all(off <= allowed[is_known], axis=0)
 
 
 def _reliable(solutions: list[Array], margins: Array) -> list[Array]:

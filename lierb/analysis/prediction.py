@@ -22,8 +22,9 @@ from lierb.analysis.completion import Completion, OpenError, SingularError, grou
 from lierb.analysis.completion_space import Place, Space
 from lierb.errors import ArgumentError, PoseError, brief
 from lierb.kernels.mechanics.newton_euler import CSPACES
+from lierb.model.mechanism.closing import unfit_constraints
 from lierb.model.mechanism.mechanism import Mechanism
-from lierb.model.mechanism.row_system import name_of
+from lierb.model.mechanism.row_system import System, name_of
 from lierb.model.problem import Problem, as_mechanism
 from lierb.runs.options import check_names
 from lierb.support.arrays import Array, Pose, as_poses, pose_components
@@ -309,6 +310,9 @@ def _of_space(space: Space, placed: list[Pose], update: str) -> JointPredictions
 def _completion(space: Space, placed: list[Pose], update: str) -> Completion:
     try:
         with np.errstate(all="ignore"):  # a configuration that overflows is discarded
+            states = System(space.mechanism, 1).states(placed)
+            if error := unfit_constraints(space.mechanism, states, lambda _: "pose0"):
+                raise error
             return Completion(space, placed, update)
     except SingularError:
         raise PoseError(

@@ -20,7 +20,7 @@ from lierb.results.columns import as_array
 from lierb.results.failures import Failures, has_failed
 from lierb.results.result import Result
 from lierb.runs.options import Options
-from lierb.runs.starts import arrays_of
+from lierb.runs.starts import arrays_of, start_of
 from lierb.support.arrays import Array, components, pose_matrix
 from lierb.support.representations import counted
 
@@ -118,7 +118,7 @@ def _distance(a: Array, b: Array) -> Array:
 
 def sizes_of(model: Model, ends: Ends, twist0: Any) -> dict[str, float]:
     """Return the scales of errors and drifts by name, medians over the trajectories."""
-    starts = arrays_of(model, "twist0", twist0)
+    _, starts = start_of(model, None, twist0)
     with np.errstate(all="ignore"):  # a trajectory may diverge
         placed, moving = model.from_links(ends.poses), model.from_links(ends.twists)
         length, energy = (float(np.nanmedian(each)) for each in magnitudes(model, placed, moving))
@@ -281,5 +281,5 @@ def warn_of_runs(failed: list[str]) -> None:
             f"trajectories failed in {'; in '.join(failed[:3])}{more}; they are left out of the "
             "errors, and their runs of the orders: see the column failed",
             FailedTrajectoryWarning,
-            stacklevel=3,
+            stacklevel=4,
         )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from lierb.errors import UnknownNameError, require_name
+from lierb.errors import require_name
 from lierb.methods import (
     classical,
     commutator_free,
@@ -34,24 +34,10 @@ METHODS: dict[str, Method] = {
 }
 
 
-# Names in SciPy, MATLAB and Julia's OrdinaryDiffEq of methods that are here, or of their kind.
-ELSEWHERE = {
-    "RK45": "DP54", "RK23": "BS32", "ode45": "DP54", "ode23": "BS32", "DP5": "DP54", "BS3": "BS32",
-    "DP8": "DOP853", "dopri5": "DP54", "dop853": "DOP853", "Vern6": "Verner65", "Vern8": "Verner87",
-    "Vern9": "Verner98", "Radau": "Rodas4", "BDF": "Rodas4", "LSODA": "Rodas4", "ode15s": "Rodas4",
-    "ode23s": "ROS34PW2", "Rosenbrock23": "ROS34PW2", "RKMK4": "RK4",
-    "leapfrog": "Verlet", "VelocityVerlet": "Verlet", "RATTLE": "RATTLie", "SHAKE": "SHAKELie",
-}  # fmt: skip
-
-
 def method_named(method: str | Method) -> Method:
     """Return the method of a name; a method itself."""
     if isinstance(method, Method):
         return method
-    if isinstance(method, str) and method in ELSEWHERE:
-        raise UnknownNameError(
-            f"method={method!r} is a name of other packages; take {ELSEWHERE[method]!r} here"
-        )
     require_name("method", method, METHODS)
     return METHODS[method]
 

@@ -2,25 +2,20 @@
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Iterable
 from dataclasses import replace
 from typing import Any
 
-import numpy as np
-
 from lierb.errors import (
     ArgumentError,
     ForceError,
-    PoseError,
-    TwistError,
-    body_label,
     brief,
     items_of,
 )
 from lierb.kernels.functions.function import size_of
 from lierb.kernels.mechanics.elements import TurnCounter
-from lierb.kernels.mechanics.rows import Rows, keeps_axis, slides, turns
-from lierb.kernels.numbers.arithmetic import plain
+from lierb.kernels.mechanics.rows import keeps_axis, slides, turns
 from lierb.model.functions.binding import bound, columns_of, require_different_events
 from lierb.model.functions.column_names import require_free
 from lierb.model.functions.constraints import Constraint
@@ -43,6 +38,10 @@ ELEMENTS: dict[str, type[Element]] = {
     "states": ExtraStates,
     "controllers": Controller,
 }
+DECORATORS = {
+    "forces": "wrench", "constraints": "constraint", "observables": "observable",
+    "events": "event", "states": "states", "controllers": "controller",
+}  # fmt: skip
 
 
 def shown_element(element: Element) -> str:
@@ -62,6 +61,13 @@ def all_of(argument: str, given: Any, kind: type, one: str, several: str) -> Any
     items = items_of(argument, given, several) if isinstance(given, Iterable) else (given,)
     for number, item in enumerate(items):
         reject_functions(f"{argument}[{number}]", item)
+        if argument in DECORATORS and inspect.isroutine(item):
+            name = getattr(item, "__name__", "function")
+            raise ArgumentError(
+                f"{argument}[{number}] is the function {name}; decorate it with "
+                f"@lierb.{DECORATORS[argument]}, and call it, with its parameters if it has any: "
+                f"{name}(…)"
+            )
         require(f"{argument}[{number}]", item, kind, one)
     return items
 
@@ -161,29 +167,3 @@ def _require_axis(element: Element, number: int, joint: Joint) -> None:
             "revolute, or what acts along the axis: motor(force=…), slide_spring, slide_friction "
             "or slide_limit"
         )
-
-
-def unfit_rate(rows: Rows, rates: Iterable[Any], t0: float) -> TwistError | None:
-    """Error for the first prescribed rate, such as a motor's speed, that is not finite at t0."""
-    for row, rate in zip(rows, rates, strict=True):
-        each = np.atleast_1d(plain(rate))
-        for body in np.flatnonzero(~np.isfinite(each))[:1]:
-            return TwistError(
-                f"{body_label('the speed', int(body), each.size)} that {row} prescribes is "
-                f"{each[body]} {'m/s' if row.is_translational else 'rad/s'} at t0={t0:g} s, and no "
-                "twist has it; give a function that has a value there, or another t0"
-            )
-    return None
-
-
-def unfit_place(rows: Rows, places: Iterable[Any], t0: float) -> PoseError | None:
-    """Error for the first prescribed position of a motor that is not finite at t0."""
-    for row, place in zip(rows, places, strict=True):
-        each = np.atleast_1d(plain(place))
-        for body in np.flatnonzero(~np.isfinite(each))[:1]:
-            return PoseError(
-                f"{body_label('the position', int(body), each.size)} that {row} prescribes is "
-                f"{each[body]} {'m' if row.is_translational else 'rad'} at t0={t0:g} s, and no "
-                "pose has it; give a function that has a value there, or another t0"
-            )
-    return None

@@ -10,14 +10,14 @@ from typing import Any, ClassVar, Self
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lierb.errors import LierbError
+from lierb.errors import LierbError, require_name
 from lierb.kernels.functions.shapes import UserFunction
 from lierb.kernels.mechanics import elements as kinds
 from lierb.kernels.mechanics.newton_euler import BodyConstants, Parameters
 from lierb.kernels.mechanics.rows import Rows
 from lierb.kernels.systems.plan import AnyPlan
 from lierb.model.acting import ELEMENTS, all_of, bind, shown_element
-from lierb.model.bodies.body import Body
+from lierb.model.bodies.body import POINTS, Body
 from lierb.model.connections import Connection
 from lierb.model.formulation import Formulation
 from lierb.model.functions.binding import Column, columns_of
@@ -141,6 +141,7 @@ class Model(Represented):
         states: ExtraStates | Iterable[ExtraStates] = (),
         controllers: Controller | Iterable[Controller] = (),
         ground_motion: MovingGround | UserFunction | None = None,
+        about: str = "origin",
     ) -> Self:
         """Return the model with other numbers and with further elements, such as forces.
 
@@ -148,7 +149,7 @@ class Model(Represented):
         ----------
         numbers : dict, optional
             New numbers, or arrays of n of them, by name: `gravity`, m/s²; `body.mass`, kg;
-            `body.inertia`, kg m², about the origin of the body frame; `body.com`, m;
+            `body.inertia`, kg m², see `about`; `body.com`, m;
             `joint.body_point` and `joint.ground_point` (of links also `joint.parent_point`), m;
             `joint.body_frame` and `joint.ground_frame`; `joint.pitch`, m/rad; `joint.length`, m;
             and each parameter of a force or other element, such as `spring_damper.stiffness`. In a
@@ -168,6 +169,12 @@ class Model(Represented):
             Further controllers.
         ground_motion : motion of a ground, or callable, optional
             Motion of the ground, in addition to the one that the model has.
+        about : {"origin", "com"}, optional
+            Point to which inertias refer, those in `numbers` and those that a body keeps if its
+            mass or centre of mass changes. "origin": the inertia about the body frame's origin
+            stays, so that one about the centre of mass changes by −Δm c², as with the derivatives
+            by `body.mass`. "com": the inertia about the centre of mass stays, as for another mass
+            of the same extent, or one that is moved.
 
         Returns
         -------
@@ -195,7 +202,8 @@ class Model(Represented):
         >>> braked.batch_size(), braked.with_({"wheel.joint_friction.coulomb": 0.2}).forces
         (3, (<joint_friction: viscous, coulomb, speed, on wheel>,))
         """
-        changed = self.renumbered(by_field(self, numbers)) if numbers else self
+        require_name("about", about, POINTS)
+        changed = self.renumbered(by_field(self, numbers), about) if numbers else self
         added = {
             "forces": forces, "constraints": constraints, "observables": observables,
             "events": events, "states": states, "controllers": controllers,
@@ -209,11 +217,14 @@ class Model(Represented):
         structure = changed._structure(lambda body, *_: body, lambda joint, _: joint)
         return self._remade((*structure, changed.gravity), elements)
 
-    def renumbered(self, numbers: Numbers) -> Self:
-        """Return the model with other numbers in some fields of `inputs`, in the shapes there."""
+    def renumbered(self, numbers: Numbers, about: str = "origin") -> Self:
+        """Return the model with other numbers in some fields of `inputs`, in the shapes there.
+
+        about : point of inertias; see `with_`.
+        """
         numbers = {field: np.asarray(x) for field, x in numbers.items()}  # kernels read addresses
         structure = self._structure(
-            lambda body, field, link: body_with(body, numbers, field, link),
+            lambda body, field, link: body_with(body, numbers, field, link, about),
             lambda joint, field: joint_with(joint, numbers, field),
         )
         gravity = numbers.get("gravity", self.gravity)
@@ -408,6 +419,7 @@ class Model(Represented):
     ) -> LierbError | None:
         """Return the error of the first member whose start violates its joints, or None.
 
+        pose0, twist0 : None for the defaults, the closed joint of a problem, and rest.
         number : index of the only member to check. Default: check all.
         """
         raise NotImplementedError

@@ -17,7 +17,7 @@ from lierb.kernels.mechanics.spatial import Rigid
 from lierb.kernels.numbers.vec import IDENTITY, ZERO3, scale
 from lierb.kernels.systems.layout import INPUTS
 from lierb.model.acting import ELEMENTS
-from lierb.model.bodies.body import Body
+from lierb.model.bodies.body import Body, moved_inertia
 from lierb.model.forces.built_in import BuiltIn
 from lierb.model.functions.elements import Element
 from lierb.model.functions.states import ExtraStates
@@ -149,18 +149,25 @@ def _moved(frame: Array, origin: Array) -> Array:
 # ---- parts of a model with other numbers -------------------------------------------------------
 
 
-def body_with(body: Body, numbers: Numbers, field: str, name: str = "") -> Body:
-    """Return a body with other numbers. Raises the errors of `lierb.Body`.   name : its link."""
+def body_with(
+    body: Body, numbers: Numbers, field: str, name: str = "", about: str = "origin"
+) -> Body:
+    """Return a body with other numbers. Raises the errors of `lierb.Body`.
+
+    name : its link.   about : point of inertias, those given and the one kept.
+    """
     own = [numbers.get(f"{field}{each}") for each in BODY]
     if all(x is None for x in own):
         return body
     mass, inertia, com = (
         getattr(body, k) if x is None else x for k, x in zip(BODY, own, strict=True)
     )
+    if about == "com" and own[1] is None:
+        inertia = moved_inertia(body.mass, body.inertia, body.com, -1.0)
     if inertia.ndim == 2 and (mass.ndim or com.ndim > 1):
         inertia = inertia[None]  # without it, a batch of three bodies would be ambiguous
     try:
-        return Body(mass, inertia, com)
+        return Body(mass, inertia, com, about=about)
     except LierbError as error:
         raise type(error)(f"{name}: {error}" if name else str(error)) from None
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from operator import methodcaller
 from typing import Any
 
@@ -26,7 +26,7 @@ from lierb.kernels.numbers.vec import ZERO3, Vec, add, diagonal, dot, norm
 from lierb.kernels.systems.plan import Plan
 from lierb.kernels.systems.system_of import plan_of
 from lierb.kernels.tracing.cpu import DEFAULT_LANES
-from lierb.model.acting import on_one_body, require, unfit_place, unfit_rate
+from lierb.model.acting import on_one_body, require
 from lierb.model.base import Model, OfBody, OfJoint
 from lierb.model.bodies.body import Body
 from lierb.model.connections import NOWHERE, Connection
@@ -45,12 +45,15 @@ from lierb.model.mechanism.mechanism import Mechanism
 from lierb.model.mechanism.row_system import CLOSED, LEAST_GYRATION, NEWTON_STEPS
 from lierb.model.mechanism.start_checks import violation_of_body
 from lierb.model.numbers import numbers_of, parameters_of
+from lierb.model.unfit import unfit_constraint, unfit_place, unfit_rate
 from lierb.support.arrays import (
+    GRAVITY,
     Array,
     Pose,
     as_number,
     as_numbers,
     as_poses,
+    as_twists,
     assembled,
     components,
     finite,
@@ -127,7 +130,8 @@ class Problem(Model):
     ) -> None:
         require("body", body, Body, "a lierb.Body")
         require("joint", joint, Joint, "a joint from lierb.joints, such as spherical(…)")
-        self._set(body=body, joint=joint, gravity=as_numbers("gravity", gravity, (3,)))
+        pull = as_numbers("gravity", gravity, (3,), hint=GRAVITY)
+        self._set(body=body, joint=joint, gravity=pull)
         elements = forces, constraints, observables, events, states, controllers
         self._set_elements(*elements, ground_motion=ground_motion)
         if len(self.rows) > MOST_ROWS:
@@ -224,7 +228,7 @@ class Problem(Model):
         self, pose0: Any, twist0: Any, t0: float = 0.0, number: int | None = None
     ) -> LierbError | None:
         poses = self.joint.closed_pose if pose0 is None else as_poses("pose0", pose0)
-        twists = as_numbers("twist0", twist0, (6,))
+        twists = None if twist0 is None else as_twists("twist0", twist0)
         return violation_of_body(self, poses, twists, t0, number)
 
     def parameters(self, at: Connection | None = None) -> Parameters:
@@ -284,6 +288,7 @@ class Problem(Model):
         body = _stout(self.constants(), length)
         # Positions in users' functions are relative to the origins of the users' frames.
         rounding = rounding_of(parameters, pose_components(poses))
+        given = SE3.kinematics(body, placed, at_rest)
         for _ in range(NEWTON_STEPS):
             x = SE3.kinematics(body, placed, at_rest)._replace(time=t0)
             if error := unfit_place(rows, [r.prescribed_place(x, body) for r in rows], t0):
@@ -300,9 +305,12 @@ class Problem(Model):
             step = solve(body, x.q, rows, jacobian, wanted, AT_REST)
             moved = se3.compose(placed, se3.exp(step.turning + step.moving))
             placed = where(closed, placed, moved)  # converged bodies are frozen
+        label = partial(_label, np.size(closed))
         for number in np.flatnonzero(~np.atleast_1d(closed))[:1].tolist():
+            if unfit := unfit_constraint(rows, given, body, label, member=number):
+                raise unfit
             raise PoseError(
-                f"{body_label('pose', number, np.size(closed))} does not come to close "
+                f"{label(number)} does not come to close "
                 f"the {self.joint.name} joint in {NEWTON_STEPS} Newton steps; start nearer to a "
                 "pose that does, such as problem.joint.closed_pose"
             )
@@ -311,7 +319,7 @@ class Problem(Model):
         against = np.any(np.broadcast_arrays(np.bool_(False), *turned), axis=0)
         for number in np.flatnonzero(against)[:1].tolist():
             raise PoseError(
-                f"{body_label('pose', number, np.size(closed))} holds the "
+                f"{label(number)} holds the "
                 f"{self.joint.name} joint the wrong way round, half a turn off, from where no way "
                 "back is the shortest; turn it by less, or one of the joint's frames by 180°"
             )
@@ -343,7 +351,7 @@ class Problem(Model):
         >>> wheel.project((1.0, 2.0, 3.0, 4.0, 5.0, 6.0)).round(9).tolist()
         [0.0, 0.0, 3.0, 0.0, 0.0, 0.0]
         """
-        twists, start = as_numbers("twist", twist, (6,)), as_number("t0", t0)
+        twists, start = as_twists("twist", twist), as_number("t0", t0)
         pose = self.joint.closed_pose if pose is None else as_poses("pose", pose)
         self.batch_size(twist=(twists, 1), pose=(pose, 2))
         with np.errstate(all="ignore"):
@@ -357,6 +365,9 @@ class Problem(Model):
         prescribed = [r.prescribed_rate(x, body) for r in self.rows]
         if error := unfit_rate(self.rows, prescribed, t0):
             raise error
+        count = np.size(placed[1][0])
+        if unfit := unfit_constraint(self.rows, x, body, partial(_label, count)):
+            raise unfit
         jacobian = methodcaller("jacobian", x, body)
         for _ in range(2):  # the second step corrects the rounding of the first
             rates = [dot(jacobian(r), velocity) for r in self.rows]
@@ -376,6 +387,10 @@ def as_mechanism(model: Model, **elements: Any) -> Mechanism:
         return Mechanism(model.links, model.loops, **elements)
     assert isinstance(model, Problem)
     return Mechanism(Link(BODY, model.body, model.joint), **elements)
+
+
+def _label(count: int, number: int) -> str:
+    return body_label("pose", number, count)
 
 
 def _stout(body: BodyConstants, length: Any) -> BodyConstants:

@@ -12,12 +12,12 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import NDArray
 
-from lierb.errors import ArgumentError, brief, require_name
+from lierb.errors import ArgumentError, UnknownNameError, brief, require_name
 from lierb.model.problem import Problem
 from lierb.results.animation.page import Animation, animate, described_links
 from lierb.results.columns import as_array, as_codes, unit_of
 from lierb.results.failures import Failures, has_failed
-from lierb.results.sensitivities import Sensitivities
+from lierb.results.sensitivities import SEPARATOR, Sensitivities
 from lierb.results.states import STATE, RunStates, _kinds_of, _scalars, metadata_of
 from lierb.support.arrays import is_whole
 from lierb.support.extras import require
@@ -80,6 +80,15 @@ class Result(RunStates):
     def __reduce__(self) -> Any:
         """Pickle without the end, whose model may have functions that cannot be pickled."""
         return Result, (self.summary, self.history, None, self.events, self.sensitivities)
+
+    def _no_column(self, name: Any) -> UnknownNameError:
+        tables = self.sensitivities
+        if tables is not None and SEPARATOR in str(name) and name in tables.summary.column_names:
+            of, by = name.split(SEPARATOR)
+            return UnknownNameError(
+                f"result: column={name!r} has derivatives; take result.sensitivity({of!r}, {by!r})"
+            )
+        return super()._no_column(name)
 
     def sensitivity(self, of: str, with_respect_to: str) -> NDArray[np.float64]:
         """Return the derivatives of a quantity by a parameter of `with_respect_to`.

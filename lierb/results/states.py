@@ -5,12 +5,12 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pyarrow as pa
 
-from lierb.errors import ArgumentError, brief, items_of, unknown_name
+from lierb.errors import ArgumentError, UnknownNameError, brief, items_of, unknown_name
 from lierb.kernels.groups import so3
 from lierb.kernels.mechanics.rows import JOINT_ROWS
 from lierb.kernels.mechanics.spatial import wrench_from
@@ -21,11 +21,14 @@ from lierb.model.numbers import rigid_of
 from lierb.results.columns import as_array, numbers, unit_of
 from lierb.runs.continuation import End
 from lierb.support.arrays import Array, assembled, components, is_whole, pose_matrix
+from lierb.support.keywords import no_attribute
 from lierb.support.representations import Lines, Represented, counted
+from lierb.synonyms import RESULTS
 
 STATE = ("t", "position", "rotation", "quaternion", "omega", "v")
 
 
+ENDS = ("min", "max", "mean", "final")  # of the names of a column in summaries
 NAMED = 3  # most links named in a message
 LARGEST = ("position_error", "rotation_error", "energy_drift")
 
@@ -36,6 +39,14 @@ class States(Represented):
 
     summary: pa.Table
     history: pa.Table | None
+
+    if not TYPE_CHECKING:
+
+        def __getattr__(self, name: str) -> Any:
+            """Raise AttributeError for an attribute that does not exist, with what there is."""
+            if hasattr(type(self), name):  # a property, which has raised AttributeError
+                return object.__getattribute__(self, name)
+            raise no_attribute("the result", name, dir(type(self)), RESULTS)
 
     @property
     def _prefix(self) -> str:
@@ -239,10 +250,30 @@ class RunStates(States):
                 values = _column(table[name])
                 shape = () if table is self.summary else (-1,)
                 return values.reshape(*shape, self.summary.num_rows, *values.shape[1:])
+        raise self._no_column(name)
+
+    def __contains__(self, name: object) -> bool:
+        """Return whether `result[name]` is a link or a column."""
+        return name in (*self.links, *self._columns)
+
+    @property
+    def _columns(self) -> tuple[str, ...]:
         saved = [] if self.history is None else self.history.column_names
-        columns = dict.fromkeys((*saved, *self.summary.column_names))
-        what = "link or column" if self.links else "column"
-        raise unknown_name(f"result: {what}", name, (*self.links, *columns))
+        return tuple(dict.fromkeys((*saved, *self.summary.column_names)))
+
+    def _no_column(self, name: Any) -> UnknownNameError:
+        """Return the error for a name that is no link and no column."""
+        what = f"result: {'link or column' if self.links else 'column'}"
+        known = (*self.links, *self._columns)
+        least = [f"{name}_{end}" for end in ENDS if f"{name}_{end}" in known]
+        if least and self.history is None:
+            return UnknownNameError(
+                f"{what}={name!r} is one of a history, which save_every= or save_at= keeps; "
+                f"without one there are {', '.join(least)}"
+            )
+        if name in RESULTS:
+            return UnknownNameError(f"{what}={brief(name)} is unknown; take {RESULTS[name]}")
+        return unknown_name(what, name, known)
 
     @property
     def momentum(self) -> Array:

@@ -16,7 +16,7 @@ from lierb.runs.inputs import Inputs
 from lierb.runs.lane_engine import LaneTime
 from lierb.runs.options import Options
 from lierb.runs.time_options import checked_numbers
-from lierb.support.arrays import Array, as_numbers, as_poses
+from lierb.support.arrays import Array, as_poses, as_twists
 
 ByLink = dict[str, Array]
 
@@ -25,6 +25,7 @@ class Ready(NamedTuple):
     """A run, ready to be integrated.
 
     pose0, twist0 : arrays; for a mechanism, arrays by link. pose0 is None for the closed joint.
+    is_at_rest : True if twist0 is the default, rest.
     trajectories : numbers of the trajectories, if the caller passes them.
     before : provenance of the run whose kernel state this run continues from, or None.
     """
@@ -36,8 +37,14 @@ class Ready(NamedTuple):
     times: StepClock | LaneTime
     pose0: Any
     twist0: Any
+    is_at_rest: bool
     trajectories: Array | None
     before: str | None
+
+    @property
+    def start(self) -> tuple[Any, Any, float]:
+        """Arguments of `Model.violation`: pose0, twist0, which is None for the default, and t0."""
+        return self.pose0, None if self.is_at_rest else self.twist0, self.options.timing.t0
 
     @property
     def is_checked(self) -> bool:
@@ -76,8 +83,8 @@ def ready(model: Model, options: Options, pose0: Any, twist0: Any) -> Ready:
         times = clock
     return Ready(
         model, options, plan, inputs, times,
-        None if poses is None else model.from_links(poses), model.from_links(twists), numbers,
-        None if known is None else known.provenance,
+        None if poses is None else model.from_links(poses), model.from_links(twists),
+        twist0 is None, numbers, None if known is None else known.provenance,
     )  # fmt: skip
 
 
@@ -100,7 +107,7 @@ def arrays_of(model: Model, argument: str, given: Any) -> ByLink:
     values = model.by_link(argument, given)
     labels = {link: model.label(argument, link) for link in model.link_names}
     if not argument.endswith("pose0"):
-        return {k: as_numbers(label, values[k], (6,), copy=None) for k, label in labels.items()}
+        return {k: as_twists(label, values[k], copy=None) for k, label in labels.items()}
     if continuation_of(given) is not None:  # the end of a run, which may have drifted
         return {link: np.asarray(each) for link, each in values.items()}
     return {link: as_poses(label, values[link], copy=None) for link, label in labels.items()}

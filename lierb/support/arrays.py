@@ -24,6 +24,19 @@ Pose = tuple[Mat, Vec]
 SLICE = 16384  # bodies checked at a time; this bounds the memory of checks
 MOST_AXES = 16  # most axes of an argument; NumPy's limit is 64
 PLAIN = {float, int, np.float64, np.float32, np.int64}  # numbers without further checks
+LETTERS = {  # names of directions in other tools
+    **{f"{sign}x": f"({sign.strip('+')}1, 0, 0)" for sign in ("", "+", "-")},
+    **{f"{sign}y": f"(0, {sign.strip('+')}1, 0)" for sign in ("", "+", "-")},
+    **{f"{sign}z": f"(0, 0, {sign.strip('+')}1)" for sign in ("", "+", "-")},
+}
+QUATERNION = (
+    "whose order differs from tool to tool; give SciPy's "
+    "Rotation.from_quat(q), for q = (x, y, z, w), or with scalar_first=True for (w, x, y, z)"
+)
+TWIST = (
+    ": ω, then v, in body axes; joint.twist(omega=…) makes one, and mechanism.twist those of links"
+)
+GRAVITY = ", in the ground frame, such as (0, 0, -9.81)"
 NO_NUMBERS = (bool, str, bytes, bytearray)
 FEWER = "give fewer bodies at a time"
 ROTATION_TOLERANCE = 1e-9  # largest ‖RᵀR − I‖ of a rotation with rounding errors
@@ -141,18 +154,26 @@ def _refuse_one(argument: str, value: Any) -> None:
 
 def _no_numbers(argument: str, value: Any) -> ArgumentError:
     hint = "; give a list" if isinstance(value, Iterable) and not isinstance(value, Sized) else ""
+    if isinstance(value, str) and value.lower() in LETTERS:
+        hint = f"; give its components, {LETTERS[value.lower()]}"
     if isinstance(value, (Set, Mapping, ValuesView)):
         hint = ", which has no order; give a list"
     return ArgumentError(f"{argument} must be numbers, got {brief(value)}{hint}")
 
 
 def as_numbers(
-    argument: str, value: ArrayLike, *tails: tuple[int, ...], copy: bool | None = True
+    argument: str,
+    value: ArrayLike,
+    *tails: tuple[int, ...],
+    copy: bool | None = True,
+    hint: str = "",
 ) -> Array:
     """Convert to finite float64 with a shape of `tails`, or a batch axis followed by such a shape.
 
     The copy is read-only, so that checked values cannot change. For use within a call, copy=None
     returns a view of the caller's array if it is float64.
+
+    hint : end of the message about a shape that does not fit.
     """
     array = as_floats(argument, value, copy).view()
     array.setflags(write=False)
@@ -162,7 +183,7 @@ def as_numbers(
     )
     if not fits:
         expected = " or ".join(f"{_shape(tail)} or {_shape(('n', *tail))}" for tail in tails)
-        raise ArgumentError(f"{argument} has shape {array.shape}; expected {expected}")
+        raise ArgumentError(f"{argument} has shape {array.shape}; expected {expected}{hint}")
     if array.size == 0:
         raise ArgumentError(f"{argument} has shape {array.shape}: a batch of no bodies")
     if not are_finite(array):
@@ -302,11 +323,11 @@ def as_poses(argument: str, value: Any, copy: bool | None = True) -> Array:
         matrices = pose_matrix((components(matrices, 2), (0.0, 0.0, 0.0)))  # without a translation
     elif matrices.ndim < 3 and matrices.shape[-1:] in ((4,), (7,)) and matrices.shape != (4, 4):
         raise ArgumentError(
-            f"{argument} has shape {matrices.shape}, as quaternions have, whose order differs from "
-            "tool to tool; give SciPy's Rotation.from_quat(q), for q = (x, y, z, w), or with "
-            "scalar_first=True for (w, x, y, z); its RigidTransform has a position too"
+            f"{argument} has shape {matrices.shape}, as quaternions have, {QUATERNION}; its "
+            "RigidTransform has a position too"
         )
-    poses = as_numbers(argument, matrices, (4, 4), copy=copy)
+    of_joints = "; joint.pose and mechanism.pose make poses of the coordinates of joints"
+    poses = as_numbers(argument, matrices, (4, 4), copy=copy, hint=of_joints)
     check_rotations(argument, poses[..., :3, :3])
     first = 0
     for part in slices(_unequal(poses.reshape(-1, 4, 4))):
@@ -319,9 +340,23 @@ def as_poses(argument: str, value: Any, copy: bool | None = True) -> Array:
 
 def as_rotations(argument: str, value: Any) -> Array:
     """Convert arrays, or SciPy's `Rotation`, to rotation matrices (3, 3) or (n, 3, 3)."""
-    matrices = as_numbers(argument, as_matrix(argument, value), (3, 3))
+    given = as_floats(argument, as_matrix(argument, value))
+    if given.ndim < 3 and given.shape[-1:] == (4,):
+        raise ArgumentError(
+            f"{argument} has shape {given.shape}, as quaternions have, {QUATERNION}"
+        )
+    angles = "; give SciPy's Rotation.from_euler for angles, Rotation.from_rotvec for a vector"
+    matrices = as_numbers(argument, given, (3, 3), hint=angles * (given.shape[-1:] == (3,)))
     check_rotations(argument, matrices)
     return matrices
+
+
+def as_twists(argument: str, value: Any, copy: bool | None = True) -> Array:
+    """Convert to twists (ω, v), (6,) or (n, 6)."""
+    array = as_floats(argument, value)
+    is_turned = array.ndim == 2 and array.shape[0] == 6
+    hint = f"; give {argument}.T" if is_turned else TWIST
+    return as_numbers(argument, array, (6,), copy=copy, hint=hint)
 
 
 def as_matrix(argument: str, value: Any) -> Any:

@@ -34,6 +34,7 @@ from lierb.kernels.tracing import calls
 from lierb.kernels.tracing.lanes import Lane
 
 BODY: Shapes = (("mass", ()), ("inertia", (3, 3)), ("com", (3,)))
+WRENCH = ((3,), (3,))  # shapes of torque and force
 # boundscheck: compiled indices may exceed an array; a trace checks them in Python.
 COMPILED = OPTIONS | {"boundscheck": True, "pipeline_class": CheckedIntegers}
 
@@ -166,7 +167,8 @@ class Function:
             return as_result(self.name, result, self.results[0])
         if not isinstance(result, (tuple, list, np.ndarray)) or len(result) != len(self.results):
             raise UnfitFunctionError(
-                f"{self.name} must return {len(self.results)} vectors, not {brief(result)}"
+                f"{self.name} must return {len(self.results)} vectors"
+                f"{', torque and force' if self.results == WRENCH else ''}, not {brief(result)}"
             )
         pairs = zip(result, self.results, strict=True)
         return tuple(as_result(self.name, x, shape) for x, shape in pairs)

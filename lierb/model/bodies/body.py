@@ -12,18 +12,25 @@ from lierb.kernels.mechanics.newton_euler import unit_inertia
 from lierb.support.arrays import (
     Array,
     Which,
+    as_floats,
     as_numbers,
     assembled,
     batch_size,
     components,
     items_at,
 )
+from lierb.support.keywords import explains_keywords
 from lierb.support.representations import Lines, Represented, quantity
+from lierb.synonyms import BODY_ARGUMENTS
 
 SYMMETRY_TOLERANCE = 1e-12  # relative to the largest entry
 TRIANGLE_TOLERANCE = 1e-12  # relative to the largest principal moment
 ROUNDING = 1e-15  # of m c² in an inertia about the origin, relative
 POINTS = ("origin", "com")  # points to which an inertia may refer
+SIX = (
+    "; give the matrix [[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]: six numbers are xx, xy, xz, "
+    'yy, yz, zz in URDF and xx, yy, zz, xy, xz, yz in MJCF, where they go with about="com"'
+)
 MOMENTS_OF_EACH = "inertia[:, :, None] * np.eye(3)"
 
 
@@ -67,6 +74,7 @@ class Body(Represented):
     inertia: Array
     com: Array
 
+    @explains_keywords(BODY_ARGUMENTS, "lierb.Body")
     def __init__(
         self,
         mass: ArrayLike,
@@ -77,7 +85,8 @@ class Body(Represented):
     ) -> None:
         require_name("about", about, POINTS)
         masses = as_numbers("mass", mass, ())
-        moments = as_numbers("inertia", inertia, (3,), (3, 3))
+        is_six = as_floats("inertia", inertia).shape[-1:] == (6,)
+        moments = as_numbers("inertia", inertia, (3,), (3, 3), hint=SIX * is_six)
         centre = as_numbers("com", (0.0, 0.0, 0.0) if com is None else com, (3,))
         if moments.shape == (3, 3) and batch_size(mass=masses, com=(centre, 1)) == 3:
             raise two_readings(

@@ -13,7 +13,7 @@ from lierb.errors import ArgumentError, brief
 from lierb.kernels.mechanics.newton_euler import unit_inertia
 from lierb.model.bodies.body import Body
 from lierb.support.arrays import Array, as_floats, as_positive, assembled, batch_size
-from lierb.support.extras import remedy
+from lierb.support.extras import require
 
 _quiet = np.errstate(all="ignore")  # `Body` raises for a mass or an inertia that overflows
 
@@ -199,12 +199,13 @@ def from_mesh(mesh: Any, *, mass: float | None = None, density: float | None = N
     Raises
     ------
     ArgumentError
-        The surface encloses no volume, or trimesh is not installed.
+        The surface encloses no volume.
+    MissingExtraError
+        trimesh is not installed.
     """
-    try:
-        import trimesh
-    except ImportError:
-        raise ArgumentError(f"from_mesh needs trimesh: {remedy('mesh')}") from None
+    require("mesh")
+    import trimesh
+
     if isinstance(mesh, (str, PathLike)):
         mesh = _loaded(mesh, trimesh.load_mesh)
     if not isinstance(mesh, trimesh.Trimesh):

@@ -16,7 +16,7 @@ import numpy as np
 from lierb.errors import ArgumentError, brief
 from lierb.model.files import inertials, urdf
 from lierb.model.files.welded_bodies import WORLD
-from lierb.support.extras import remedy
+from lierb.support.extras import require
 from lierb.support.representations import counted
 
 if TYPE_CHECKING:
@@ -43,10 +43,9 @@ def compiled(path: Any, language: str, base: str | None) -> tuple[MjModel, list[
 
     Raises ArgumentError for a file that MuJoCo refuses.
     """
-    try:
-        import mujoco
-    except ImportError:
-        raise ArgumentError(f"reading {language} needs mujoco: {remedy('mjcf')}") from None
+    require("mjcf")
+    import mujoco
+
     if not isinstance(path, (str, PathLike)):
         raise ArgumentError(f"path={brief(path)}; expected the path of a file in {language}")
     spec = None

@@ -163,8 +163,8 @@ def form_of_any(
             form.append(parameter.name)
         elif is_known or parameter.default is inspect.Parameter.empty:
             raise ForceError(
-                f"{name} takes {signature}; expected {expected}, what else it may "
-                "take after them and with a default"
+                f"{name} takes {signature}; expected {expected}; a further argument comes after "
+                f"them and has a default, unlike {parameter.name}"
             )
     if has_parameters and "params" not in form:
         raise ForceError(f"{name} takes {signature}, but has parameters; expected params as well")

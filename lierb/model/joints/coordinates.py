@@ -8,7 +8,7 @@ import numpy as np
 
 from lierb.errors import ArgumentError, two_readings
 from lierb.kernels.numbers.vec import IDENTITY
-from lierb.model.joints.joint import Joint, Sizes
+from lierb.model.joints.joint import FIXED, Joint, Sizes
 from lierb.model.joints.motions import TURNS, Motions
 from lierb.support.arrays import Pose, as_floats, as_matrix
 
@@ -19,7 +19,7 @@ def motions_of(joint: Joint) -> Motions | None:
 
 
 def is_rigid(joint: Joint) -> bool:
-    return joint.name == "fixed"
+    return joint.name == FIXED
 
 
 def is_pose(argument: str, given: Any, joint: Joint) -> bool:

@@ -31,6 +31,7 @@ from lierb.support.arrays import (
     as_numbers,
     as_poses,
     as_rotations,
+    as_twists,
     assembled,
     batch_size,
     components,
@@ -44,6 +45,7 @@ from lierb.support.representations import Lines, Represented, quantity
 _quiet = np.errstate(all="ignore")  # overflow is detected in the result
 Sizes = dict[str, tuple[Array, int]]  # arguments for `batch_size`: arrays and axes of an item
 JOINT = {"ground_frame": 2, "body_frame": 2, "pitch": 0, "length": 0}  # axes of an item, by array
+FIXED = "fixed"  # name of the joint without motions
 MOST_ROWS = 12  # twice the freedoms of a body: a joint may be stated twice, in two ways
 
 
@@ -240,7 +242,7 @@ class Joint(Represented):
         >>> plane.velocities((0.0, 0.0, 0.0, 1.0, 0.0, 0.0), turned).round(9).tolist()
         [0.0, -1.0, 0.0]
         """
-        motions, moving = self.motions, as_numbers("twist", twist, (6,))
+        motions, moving = self.motions, as_twists("twist", twist)
         placed = self._placed(pose)
         batch_size(twist=(moving, 1), pose=(placed, 2), body_frame=(self.body_frame, 2))
         in_body = se3.inverse(pose_components(self.body_frame))
@@ -255,9 +257,10 @@ class Joint(Represented):
         frame; `d1` … `d3`: position of the body's joint frame in the ground's, m. A universal joint
         has `alpha`, the angle about e₃ of the ground, and `beta`, the angle about e₂ of the body; a
         hook joint has the angles about e₂ and e₃. A pin in a slot has `d1` and `phi`; with the slot
-        on the body, `phi` and `s`, the position of the body's joint frame along its own e₁.
+        on the body, `phi` and `s`, the position of the body's joint frame along its own e₁. A
+        fixed joint has none, ().
         """
-        return self.motions.names
+        return () if self.name == FIXED else self.motions.names
 
     @_quiet
     def coordinates(self, pose: Any) -> Array:
@@ -342,15 +345,15 @@ class Joint(Represented):
 
     def at_coordinates(self, argument: str, given: Any) -> tuple[Pose, Sizes]:
         """Return D for coordinates, and the argument for `batch_size`."""
-        numbers = as_coordinates(argument, given, self.coordinate_names)
+        numbers = as_coordinates(argument, given, self.motions.names)
         return self.motions.pose(components(numbers)), {argument: (numbers, 1)}
 
     def turned(self, argument: str, given: Any) -> tuple[Pose, Sizes]:
         """Return D for a rotation, and the argument for `batch_size`."""
-        if self.coordinate_names != TURNS:
+        if (names := self.motions.names) != TURNS:
             raise ArgumentError(
                 f"{argument}: a {self.name} joint takes no rotation: its coordinates are "
-                f"{', '.join(self.coordinate_names)}; give those"
+                f"{', '.join(names)}; give those"
             )
         turns = as_rotations(argument, given)
         return (components(turns, 2), ZERO3), {argument: (turns, 2)}
@@ -388,10 +391,9 @@ class Joint(Represented):
             return SubgroupMotions(slots_of(self.rows), self.pitch)
         if self.factors:
             return ProductMotions(self.factors)
-        raise ArgumentError(
-            f"a {self.name} joint has no coordinates: its motions are neither a group nor a "
-            "product of two"
-        )
+        neither = "motions are neither a group nor a product of two"
+        why = "body does not move" if self.name == FIXED else neither
+        raise ArgumentError(f"a {self.name} joint has no coordinates: its {why}")
 
 
 def _shown_frame(frame: Array) -> str:

@@ -13,6 +13,8 @@ from lierb.model.joints.frames import body_frame_of, ground_frame_of
 from lierb.model.joints.joint import Joint
 from lierb.model.joints.motions import Factor
 from lierb.support.arrays import as_numbers, as_positive, batch_size
+from lierb.support.keywords import explains_keywords
+from lierb.synonyms import JOINT_ARGUMENTS
 
 
 @dataclass(frozen=True)
@@ -42,6 +44,7 @@ class JointType:
     options: frozenset[str] = frozenset()
     factors: tuple[Factor, ...] = ()
 
+    @explains_keywords(JOINT_ARGUMENTS, "a joint of lierb.joints")
     def __call__(
         self,
         body_point: ArrayLike | None = None,

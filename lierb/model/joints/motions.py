@@ -17,7 +17,7 @@ from lierb.kernels.mechanics.subgroup import Slots
 from lierb.kernels.numbers.trigonometry import atan2
 from lierb.kernels.numbers.vec import ZERO3, Vec, add, dot, mat_t_vec, mat_vec, neg, row
 from lierb.kernels.numbers.zero import ZERO
-from lierb.support.arrays import Array, Pose, as_floats, as_numbers
+from lierb.support.arrays import QUATERNION, Array, Pose, as_floats, as_numbers
 
 TURNS = ("xi1", "xi2", "xi3")  # names of the components of a rotation vector
 
@@ -197,5 +197,12 @@ def as_coordinates(argument: str, given: Any, names: tuple[str, ...]) -> Array:
         expected = "a number, (n,) or (n, 1)" if k == 1 else f"({k},) or (n, {k})"
         raise ArgumentError(
             f"{argument} has shape {np.shape(given)}; expected {expected}, of {', '.join(names)}"
+            f"{_hint(array, names)}"
         )
     return as_numbers(argument, array, (k,))
+
+
+def _hint(array: Array, names: tuple[str, ...]) -> str:
+    """End of the message about coordinates that may be a quaternion."""
+    is_quaternion = array.shape[-1:] == (4,) and names[:3] == TURNS
+    return f"; four numbers may be a quaternion, {QUATERNION}" if is_quaternion else ""

@@ -23,7 +23,6 @@ from lierb.kernels.mechanics.rows import Row
 from lierb.kernels.mechanics.scale import START_TOLERANCE
 from lierb.kernels.numbers.arithmetic import absolute, plain, where
 from lierb.kernels.numbers.vec import Vec, add
-from lierb.model.acting import unfit_place, unfit_rate
 from lierb.model.mechanism.decomposition import summed
 from lierb.model.mechanism.kinematics import TreeKinematics
 from lierb.model.mechanism.row_system import (
@@ -31,12 +30,14 @@ from lierb.model.mechanism.row_system import (
     NEWTON_STEPS,
     ConnectionState,
     System,
+    ends_of,
     errors_of,
     name_of,
     one_of,
     reversed_joint,
     wrong_way,
 )
+from lierb.model.unfit import unfit_constraint, unfit_place, unfit_rate
 from lierb.support.arrays import Array, assembled, pose_components, pose_matrix
 from lierb.support.progress import reporter
 
@@ -81,6 +82,9 @@ class Part:
 
     def label(self, argument: str, member: int) -> str:
         return body_label(argument, self.first + member, self.count)
+
+    def pose_label(self, member: int) -> str:
+        return self.label("pose", member)
 
 
 def _parts(mechanism: TreeKinematics, arguments: list[tuple[str, list[Array], int]]) -> list[Part]:
@@ -157,6 +161,8 @@ def _closed(part: Part, t0: float) -> tuple[list[Array], bool]:
     """
     last = _newton(part, t0)
     for member in np.flatnonzero(~last.is_closed)[:1].tolist():
+        if error := unfit_constraints(part.mechanism, last.first, part.pose_label, member):
+            raise error
         label = part.label("pose", member)
         raise PoseError(_no_convergence(last.system, last.states, last.off, member, label))
     for s in last.states:
@@ -169,12 +175,13 @@ def _closed(part: Part, t0: float) -> tuple[list[Array], bool]:
 class Iterate(NamedTuple):
     """Last iterate of Newton's method.
 
-    states : connections at `poses`.   off : residuals of their rows.
+    states, first : connections at `poses`, and at the first iterate.   off : residuals of rows.
     is_closed, was_closed : (count,), at the last and at the first iterate.
     """
 
     system: System
     states: list[ConnectionState]
+    first: list[ConnectionState]
     off: list[list[Any]]
     poses: list[Pose]
     is_closed: Any
@@ -222,7 +229,7 @@ def _newton(part: Part, t0: float, steps: int = NEWTON_STEPS) -> Iterate:
             moved = se3.compose(poses[i], se3.exp(screw))
             moved = so3.orthonormalised(moved[0]), moved[1]
             poses[i] = where(is_closed, poses[i], moved)  # converged members are frozen
-    return Iterate(system, states, off, poses, is_closed, was_closed)
+    return Iterate(system, states, first, off, poses, is_closed, was_closed)
 
 
 def _residuals(s: ConnectionState, before: ConnectionState) -> list[Any]:
@@ -250,6 +257,23 @@ def unfit_positions(states: list[ConnectionState], t0: float) -> PoseError | Non
         for s in states
     )
     return next(filter(None, errors), None)
+
+
+def unfit_constraints(
+    mechanism: TreeKinematics,
+    states: list[ConnectionState],
+    label: Callable[[int], str],
+    member: int | None = None,
+) -> PoseError | None:
+    """Error for the first user's constraint that is not finite, or a derivative of it.
+
+    label : function of a member's index that names its pose.   member : the only one to check.
+    """
+    for s in states:
+        where = f" ({ends_of(mechanism, s.at)})"
+        if error := unfit_constraint(s.at.rows, s.x, s.body, label, where=where, member=member):
+            return error
+    return None
 
 
 def _excesses(s: ConnectionState, values: list[Any]) -> Iterator[Any]:
@@ -308,6 +332,8 @@ def _projected(part: Part, t0: float) -> list[Array]:
     prescribed = [r.prescribed_rate(s.x, s.body) for s in states for r in s.at.rows]
     if error := unfit_rate(rows, prescribed, t0):
         raise error
+    if error_of_pose := unfit_constraints(part.mechanism, states, part.pose_label):
+        raise error_of_pose
     if not rows:
         return given
     decomposed = system.decomposed(states)
@@ -361,6 +387,8 @@ def mobility(
         system = System(part.mechanism, len(part.arrays[0]))
         states = system.states([pose_components(x) for x in part.arrays])
         states = _with_rows(states, is_counted)
+        if error := unfit_constraints(part.mechanism, states, part.pose_label):
+            raise error
         rows = system.decomposed(states)
         counts.append([rows.freedoms, rows.lengths.shape[1] - rows.ranks])
     numbers = _joined(counts, parts[0].is_batch)

@@ -27,8 +27,8 @@ from lierb.model.numbers import numbers_of, parameters_of
 from lierb.support.arrays import (
     Array,
     Pose,
-    as_numbers,
     as_poses,
+    as_twists,
     assembled,
     components,
     finite,
@@ -103,7 +103,7 @@ class TreeKinematics(Tree):
         """Check twists of all links; return them in order, (6,) or (n, 6)."""
         given = self.by_link(argument, given)
         twists = {f"{argument}[{n!r}]": given[n] for n in self.names}
-        twists = {label: as_numbers(label, twist, (6,)) for label, twist in twists.items()}
+        twists = {label: as_twists(label, twist) for label, twist in twists.items()}
         self.batch_size(**{label: (twist, 1) for label, twist in twists.items()})
         return [*twists.values()]
 
@@ -120,9 +120,13 @@ class TreeKinematics(Tree):
         if given is None and not is_whole:
             return {}
         if not isinstance(given, Mapping):
+            entry = f"{{{self.names[0]!r}: …}}"
+            maker = next((each for each in ("pose", "twist") if each in argument), "")
+            what = {"pose": "coordinates", "twist": "rates of coordinates"}.get(maker)
+            hint = f"; mechanism.{maker}({entry}) makes it of the joints' {what}" if maker else ""
             raise ArgumentError(
                 f"{argument}={brief(given)}; expected a dictionary of what each link has, as "
-                f"{{{self.names[0]!r}: …}}"
+                f"{entry}{hint}"
             )
         for name in given:
             if name not in self.names:
@@ -256,7 +260,7 @@ class TreeKinematics(Tree):
                 self.batch_size(**sizes)
                 relative = motions.twist(components(rates), self.relative(at, poses))
             elif link.name in given:
-                whole = as_numbers(argument, given[link.name], (6,))
+                whole = as_twists(argument, given[link.name])
                 sizes[argument] = whole, 1
                 self.batch_size(**sizes)
                 twists[i] = components(whole)

@@ -141,8 +141,10 @@ class Mechanism(TreeKinematics):
         Raises
         ------
         ArgumentError
-            MuJoCo refuses the file or is not installed; a moving link has an inertia that no rigid
-            body has; or a link without mass or inertia can move without what hangs on it.
+            MuJoCo refuses the file; a moving link has an inertia that no rigid body has; or a link
+            without mass or inertia can move without what hangs on it.
+        MissingExtraError
+            MuJoCo is not installed.
         """
         return cls._of_file(path, "MJCF", None, merge_fixed, limit_stiffness, base, frames)
 
@@ -185,7 +187,9 @@ class Mechanism(TreeKinematics):
         Raises
         ------
         ArgumentError
-            MuJoCo refuses the file or is not installed.
+            MuJoCo refuses the file.
+        MissingExtraError
+            MuJoCo is not installed.
         """
         return cls._of_file(path, "URDF", gravity, merge_fixed, limit_stiffness, base, frames)
 

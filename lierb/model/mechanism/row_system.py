@@ -210,7 +210,7 @@ def reversed_joint(label: str, name: str, turned: str = "a link") -> str:
 
 def name_of(mechanism: TreeKinematics, at: Connection) -> str:
     """Name of a connection in messages."""
-    ends = " to ".join(mechanism.names[i] if i >= 0 else "ground" for i in (at.body, at.parent))
+    ends = ends_of(mechanism, at)
     if at.second >= 0:
         (element,) = at.elements
         return f"{at.name} ({' and '.join(mechanism.elements[element].at)})"
@@ -218,6 +218,11 @@ def name_of(mechanism: TreeKinematics, at: Connection) -> str:
         return f"{at.name} ({ends})"
     what = "joint of" if at.name == mechanism.names[at.body] else "loop"
     return f"the {what} {at.name} ({at.joint.name}, {ends})"
+
+
+def ends_of(mechanism: TreeKinematics, at: Connection) -> str:
+    """Names of the two links of a connection in messages."""
+    return " to ".join(mechanism.names[i] if i >= 0 else "ground" for i in (at.body, at.parent))
 
 
 def errors_of(s: ConnectionState) -> tuple[tuple[str, str, Any], tuple[str, str, Any]]:

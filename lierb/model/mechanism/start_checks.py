@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -22,7 +23,6 @@ from lierb.kernels.mechanics.rows import Rows
 from lierb.kernels.mechanics.scale import ROUNDING, START_TOLERANCE, length_of, rounding_of
 from lierb.kernels.numbers.arithmetic import absolute, plain, sqrt
 from lierb.kernels.numbers.vec import Vec, cross_add, norm, sub
-from lierb.model.acting import unfit_rate
 from lierb.model.base import Model
 from lierb.model.mechanism.closing import closed, mobility, unfit_positions
 from lierb.model.mechanism.kinematics import TreeKinematics
@@ -35,6 +35,7 @@ from lierb.model.mechanism.row_system import (
     reversed_joint,
     wrong_way,
 )
+from lierb.model.unfit import unfit_constraint, unfit_rate
 from lierb.support.arrays import Array, as_poses, components, items_at, pose_components
 
 EVEN_SO = '(check="warn" integrates it all the same, but not on "reduced")'
@@ -56,7 +57,8 @@ class Start(NamedTuple):
 
     speed : m/s, scale of the tolerances of velocities.   time : s.
     turned : text on what to turn if a joint is half a turn off.   closing : text on the effect of
-    `close` on a member.   projecting : text on the effect of `project`.
+    `close` on a member.   is_default : True if the twist is rest, by default.
+    projecting : text on the effect of `project`.
     """
 
     joints: list[tuple[str, ConnectionState]]
@@ -65,26 +67,32 @@ class Start(NamedTuple):
     members: Members
     turned: str
     closing: Callable[[int], str]
+    is_default: bool
     projecting: str
 
 
 def violation_of_body(
-    model: Model, poses: Array, twists: Array, t0: float, number: int | None
+    model: Model, poses: Array, twists: Array | None, t0: float, number: int | None
 ) -> LierbError | None:
     """Return the error of the first body whose start violates its joint, or None.
 
-    number : index of the only body to check, or None.
+    twists : None for rest, the default.   number : index of the only body to check, or None.
     """
+    is_default = twists is None
+    twists = np.zeros(6) if twists is None else twists
     count = model.batch_size(pose0=(poses, 2), twist0=(twists, 1)) or 1
     with np.errstate(all="ignore"):
         if number is None:
-            return violation_of(_start_of_body(model, poses, twists, t0, Members(0, count, count)))
+            whole = Members(0, count, count)
+            return violation_of(_start_of_body(model, poses, twists, t0, whole, is_default))
         alone = model.of_body(number) if model.batch_size() else model
         own = items_at(poses, number, 2), items_at(twists, number, 1)
-        return violation_of(_start_of_body(alone, *own, t0, Members(number, 1, count)))
+        return violation_of(_start_of_body(alone, *own, t0, Members(number, 1, count), is_default))
 
 
-def _start_of_body(model: Model, poses: Array, twists: Array, t0: float, members: Members) -> Start:
+def _start_of_body(
+    model: Model, poses: Array, twists: Array, t0: float, members: Members, is_default: bool
+) -> Start:
     (at,), ((_, rows),) = model.joints, model.rows_by_name
     assert at.joint is not None
     p, body, pose, twist = (
@@ -105,8 +113,8 @@ def _start_of_body(model: Model, poses: Array, twists: Array, t0: float, members
         members=members,
         turned="pose0",
         closing=lambda member: closing,
-        projecting=f"problem.project(twist0, pose0{_at_time(rows, t0)}) is the nearest twist that "
-        "the joint allows",
+        is_default=is_default,
+        projecting=_projecting("problem", "np.zeros(6)", "the joint allows", rows, t0, is_default),
     )
 
 
@@ -114,8 +122,10 @@ def start_of_mechanism(mechanism: TreeKinematics, pose: Any, twist: Any, t0: flo
     """Return all joints, loops and constraints at valid poses and twists, arrays by link.
 
     The speed is the sum of the links' speeds: at a dead point the links of a joint may be at rest,
-    except for the rounding of the other links' speed.
+    except for the rounding of the other links' speed.   twist : None for rest, the default.
     """
+    is_default = twist is None
+    twist = dict.fromkeys(mechanism.names, np.zeros(6)) if twist is None else twist
     placed = [_side_by_side(pose_components(np.asarray(pose[name]))) for name in mechanism.names]
     moving = [_side_by_side(components(np.asarray(twist[name]))) for name in mechanism.names]
     sizes = {f"pose0[{n!r}]": placed[i][1][0] for i, n in enumerate(mechanism.names)}
@@ -132,11 +142,19 @@ def start_of_mechanism(mechanism: TreeKinematics, pose: Any, twist: Any, t0: flo
     def closing(member: int) -> str:
         return _effect_of_closing(mechanism, pose, member, rows, t0)
 
-    projecting = (
-        f"mechanism.project(twist0, pose0{_at_time(rows, t0)}) is the nearest twist that all "
-        "joints allow"
-    )
-    return Start(joints, speed, t0, Members(0, count, count), "a link", closing, projecting)
+    rest = "mechanism.twist({})"
+    projecting = _projecting("mechanism", rest, "all joints allow", rows, t0, is_default)
+    members = Members(0, count, count)
+    return Start(joints, speed, t0, members, "a link", closing, is_default, projecting)
+
+
+def _projecting(
+    model: str, rest: str, allowed: str, rows: Rows, t0: float, is_default: bool
+) -> str:
+    """Text on the effect of `project`.   is_default : True if the twist is rest, by default."""
+    arguments = f"{rest if is_default else 'twist0'}, pose0{_at_time(rows, t0)}"
+    call = f"{'twist0=' * is_default}{model}.project({arguments})"
+    return f"{call} is the nearest twist that {allowed}"
 
 
 def _side_by_side(parts: Any) -> Any:
@@ -167,6 +185,10 @@ def violation_of(start: Start) -> LierbError | None:
 
 def _pose_violation(start: Start, name: str, h: ConnectionState) -> PoseError | None:
     if unfit := unfit_positions([h], start.time):
+        return unfit
+    pose = partial(start.members.label, "pose0")
+    where = name[name.find(" (") :] if h.at.name else ""  # " (rod to ground)"
+    if unfit := unfit_constraint(h.at.rows, h.x, h.body, pose, where=where, has_twist=True):
         return unfit
     for member in wrong_way(h, start.members.size)[:1].tolist():
         return PoseError(reversed_joint(start.members.label("pose0", member), name, start.turned))
@@ -201,7 +223,7 @@ def _twist_violation(start: Start, name: str, h: ConnectionState) -> TwistError 
         strict=True,
     ):  # fmt: skip
         for member in _beyond(size, allowed, start.members.size):
-            label = start.members.label("twist0", member)
+            label = start.members.label("twist0", member) + " (rest, by default)" * start.is_default
             error, most = one_of(size, member), one_of(allowed, member)
             if not max(error, most) < np.inf:
                 return TwistError(beyond_numbers(label, what))

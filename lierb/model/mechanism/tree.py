@@ -27,7 +27,7 @@ from lierb.model.functions.wrenches import Force
 from lierb.model.joints.joint import JOINT
 from lierb.model.mechanism.links import GROUND, Link, Loop, Site
 from lierb.model.numbers import BODY, labelled
-from lierb.support.arrays import as_numbers
+from lierb.support.arrays import GRAVITY, as_numbers
 from lierb.support.representations import Lines, counted, quantity
 
 
@@ -59,7 +59,7 @@ class Tree(Model):
         self._set(
             links=all_of("links", links, Link, "lierb.Link(…)", "lierb.Links"),
             loops=all_of("loops", loops, Loop, "lierb.Loop(…)", "lierb.Loops"),
-            gravity=as_numbers("gravity", gravity, (3,)),
+            gravity=as_numbers("gravity", gravity, (3,), hint=GRAVITY),
             sites=_sites_of(sites or {}),
         )
         self._check_names()

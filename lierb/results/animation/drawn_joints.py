@@ -5,6 +5,7 @@ The gap of a joint is the displacement of its body that the animation magnifies.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -44,6 +45,12 @@ class DrawnJoint(NamedTuple):
             "is_rod": "rod" in map(str, joint.rows),
             "gap": encoded(self.gap),
         }  # fmt: skip
+
+    def take_rounding_off(self, errors: Mapping[str, Array]) -> None:
+        """Set gaps to 0 that are rounding of the poses, where all errors of the run are 0."""
+        for name, part in (("rotation_error", slice(0, 3)), ("position_error", slice(3, 6))):
+            if name in errors and not np.nanmax(errors[name], initial=0.0) > 0.0:
+                self.gap[:, part] *= 0.0  # NaN stays NaN
 
     def gap_size(self, size: float) -> float:
         """Return the largest gap relative to the bodies' size, or in rad."""

@@ -30,7 +30,7 @@ from lierb.results.animation.scene import (
 from lierb.results.animation.shapes import Shape
 from lierb.results.colours import CSPACE_NAMES
 from lierb.results.states import RunStates, chosen_trajectories, metadata_of
-from lierb.support.arrays import Array, as_matrix, as_numbers, as_poses, is_whole
+from lierb.support.arrays import Array, as_floats, as_matrix, as_numbers, as_poses, is_whole
 from lierb.support.files import require_page, write_whole
 from lierb.support.representations import counted, steps_text
 
@@ -157,11 +157,12 @@ def animate(
     frames : int, optional
         Largest number of frames; longer histories are thinned evenly.
     magnify : float, optional
-        Initial magnification of the gap.
+        Initial magnification of the gap, as far as the bodies stay in view.
     targets : array_like of shape (3,), (k, 3) or (4, 4), or dict of them, optional
         What the motion should reach, drawn in every view, fixed to the ground: a point (3,), m; a
         path (k, 3) through k points, m; or a pose (4, 4). A dictionary gives them names, which are
-        written beside them. Default: none.
+        written beside them. The view has room for those up to six times the motion's size away.
+        Default: none.
     title : str, optional
         Title. Default: joint and method.
 
@@ -337,14 +338,18 @@ def _targets(given: Any) -> dict[str, Array]:
 
 
 def _target(argument: str, given: Any) -> Array:
-    target = as_numbers(argument, as_matrix(argument, given), (3,), (4, 4))
-    if target.ndim == 3:
-        raise ArgumentError(f"{argument} has shape {target.shape}; expected (3,), (k, 3) or (4, 4)")
-    return as_poses(argument, target) if target.shape == (4, 4) else np.atleast_2d(target)
+    target = as_floats(argument, as_matrix(argument, given))
+    if target.shape == (4, 4):
+        return as_poses(argument, target)
+    if target.shape[-1:] != (3,) or target.ndim > 2 or not target.size:
+        raise ArgumentError(
+            f"{argument} has shape {target.shape}; expected (3,), (k, 3) of a path or (4, 4)"
+        )
+    return np.atleast_2d(as_numbers(argument, target, (3,)))
 
 
 def _point(argument: str, given: ArrayLike) -> Array:
-    point = as_numbers(argument, given, (3,))
-    if point.shape != (3,):
-        raise ArgumentError(f"{argument} has shape {point.shape}; expected (3,) or a flag")
-    return np.asarray(point)
+    shape = as_floats(argument, given).shape
+    if shape != (3,):
+        raise ArgumentError(f"{argument} has shape {shape}; expected (3,), a point of the body")
+    return np.asarray(as_numbers(argument, given, (3,)))

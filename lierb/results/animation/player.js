@@ -135,6 +135,15 @@ function layout(count, width, height) {
   return Array.from({ length: count }, (_, i) => ({ x: (i % across) * w, y: Math.floor(i / across) * h, w, h }));
 }
 
+const NARROWEST = 125; // pixels of a strip with its axis
+/** Boxes of so many strips beside each other, in as many rows as their least width asks for. */
+function strips(count, width, height) {
+  const rows = Math.ceil(count / Math.max(1, Math.floor(width / NARROWEST))), across = Math.ceil(count / rows);
+  const w = width / across, h = height / rows;
+  const boxes = Array.from({ length: count }, (_, i) => ({ x: (i % across) * w + 44, y: Math.floor(i / across) * h + 20, w: w - 54, h: h - 38 }));
+  return { rows, boxes };
+}
+
 /** The convex hull of points in the plane, in order. */
 function hull(points) {
   const sorted = [...points].sort((a, b) => a[0] - b[0] || a[1] - b[1]);
@@ -170,7 +179,7 @@ function short(x) {
 }
 
 if (typeof module !== "undefined")
-  module.exports = { cameraAxes, floats, hull, layout, matrix, moment, nice, poseAt, project, rotation, short, shown, turn };
+  module.exports = { cameraAxes, floats, hull, layout, matrix, moment, nice, poseAt, project, rotation, short, shown, strips, turn };
 
 // ---- the player -----------------------------------------------------------------------------------
 
@@ -364,6 +373,16 @@ function start(scene) {
     });
   }
 
+  /** Directions of the ground's axes in a corner, where its origin is out of sight. */
+  function drawDirections(pen, rect) {
+    const { right, up } = camera.axes, o = [rect.x + 42, rect.y + rect.h - 46];
+    ["e₁", "e₂", "e₃"].forEach((name, i) => {
+      const tip = [o[0] + 28 * right[i], o[1] - 28 * up[i]];
+      line(pen, [o, tip], "#888", 1.2);
+      label(pen, name, o[0] + 38 * right[i] - 5, o[1] - 38 * up[i] + 4);
+    });
+  }
+
   /** Targets: a cross for a point, a line for a path, axes for a pose; their names beside them. */
   function drawTargets(pen, see) {
     const colour = "#a0178c", arm = 0.08 * scene.size;
@@ -401,7 +420,9 @@ function start(scene) {
     pen.fillStyle = "#777";
     if (floor !== null) drawFloor(pen, see, bodies, view);
     pen.fillStyle = "#777";
-    drawFrame(pen, see);
+    const [x, y] = see([0, 0, 0]);
+    if (x > rect.x && x < rect.x + rect.w && y > rect.y && y < rect.y + rect.h) drawFrame(pen, see);
+    else drawDirections(pen, rect);
     const polygons = [];
     bodies.forEach((pose, i) => {
       const colour = view.tints[i];
@@ -479,12 +500,13 @@ function start(scene) {
     return { zeros, top: Math.max(top, bottom + 1), bottom: bottom - zeros };
   }
   const bounds = curves.map(ranges);
-  const boxes = (w, h) => curves.map((_, i) => ({ x: (i * w) / curves.length + 44, y: 20, w: w / curves.length - 54, h: h - 38 }));
+  const boxes = (w, h) => strips(curves.length, w, h).boxes;
 
   const still = document.createElement("canvas"); // the curves, which time does not change
   const across = (box, x) => box.x + ((x - begin) / (end - begin || 1)) * box.w;
 
   function drawCurves() {
+    if (curves.length) $("strip").style.setProperty("--rows", strips(curves.length, strip.clientWidth, 0).rows);
     const [pen, w, h] = sized(strip);
     if (still.width !== strip.width || still.height !== strip.height) {
       still.width = strip.width;
@@ -505,7 +527,7 @@ function start(scene) {
       const name = curves[i], range = bounds[i];
       pen.font = "12px system-ui, sans-serif";
       pen.fillStyle = "#1a1a1a";
-      pen.fillText(scene.curves[name], box.x - 38, 12);
+      pen.fillText(scene.curves[name], box.x - 38, box.y - 8, box.w + 40);
       pen.fillStyle = "#666";
       pen.font = "11px system-ui, sans-serif";
       if (!range) {
@@ -528,9 +550,9 @@ function start(scene) {
         });
       }
       pen.fillStyle = "#666";
-      pen.fillText(`${short(begin)} s`, box.x, h - 4);
+      pen.fillText(`${short(begin)} s`, box.x, box.y + box.h + 14);
       const last = `${short(end)} s`;
-      pen.fillText(last, box.x + box.w - pen.measureText(last).width, h - 4);
+      pen.fillText(last, box.x + box.w - pen.measureText(last).width, box.y + box.h + 14);
     });
   }
 
@@ -606,8 +628,8 @@ function start(scene) {
   }, { passive: false });
   const scrubbing = (e) => {
     if (!e.buttons) return;
-    const rect = strip.getBoundingClientRect(), x = e.clientX - rect.left;
-    const box = boxes(rect.width, rect.height).find((b) => x >= b.x - 20 && x <= b.x + b.w + 20);
+    const rect = strip.getBoundingClientRect(), x = e.clientX - rect.left, y = e.clientY - rect.top;
+    const box = boxes(rect.width, rect.height).find((b) => x >= b.x - 20 && x <= b.x + b.w + 20 && y >= b.y - 20 && y <= b.y + b.h + 18);
     if (box) { play(false); seek(begin + ((x - box.x) / box.w) * (end - begin)); }
   };
   strip.addEventListener("pointerdown", scrubbing);

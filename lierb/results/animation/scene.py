@@ -33,7 +33,7 @@ import numpy as np
 from lierb.model.base import Model
 from lierb.model.bodies.body import Body
 from lierb.model.joints.joint import Joint
-from lierb.results.animation.drawn_joints import drawn_joints
+from lierb.results.animation.drawn_joints import DrawnJoint, drawn_joints
 from lierb.results.animation.encoding import RUNAWAY, encoded
 from lierb.results.animation.shapes import Shape, equivalent
 from lierb.results.colours import COLOURS, CSPACE_COLOURS, colours_of
@@ -44,6 +44,7 @@ from lierb.support.representations import with_unit
 Shapes = Shape | Mapping[str, Shape] | None
 Trails = Array | bool | Mapping[str, Array]
 GAP_SHOWN = 0.4  # largest gap at full magnification, relative to the bodies' size, or in rad
+TARGET_REACH = 6.0  # distance, relative to the motion's size, up to which the view has targets
 MOST_MAGNIFIED = 1e12  # rounding, 1e-16, stays invisible
 FOLLOW_DISTANCE = 12.0  # distance, relative to its size, beyond which the camera follows a body
 TURN_SEEN = 0.5 * math.pi  # rad from frame to frame; the sense of a larger turn is not visible
@@ -84,14 +85,21 @@ def scene_of(
         view |= {"colour": colour, "dash": dash}
     size = max(sizes)
     follow = bool(np.ptp(np.vstack(swept), axis=0).max() > FOLLOW_DISTANCE * size)
-    points = np.vstack([*swept, *(aim["points"] for aim in aims)])
+    near, far = _near(np.vstack(swept), aims)
+    notes = [f"Far from the motion, and out of sight: {', '.join(far)}."] if far else []
+    points = np.vstack([*swept, *near])
     centre = 0.5 * (points.min(axis=0) + points.max(axis=0))
     first, is_heavy = _up(named[0][2]), bool(np.any(named[0][2].gravity != 0.0))
-    notes = []
     if max(turns) > TURN_SEEN:
         notes.append(
             f"A body turns by up to {max(turns):.3g} rad from one saved time to the next: save "
             "more often to see which way."
+        )
+    shown = max(1.0, min(magnified, _in_view(max(gaps))))
+    if shown < magnified:
+        notes.append(
+            f"The gap is magnified {shown:g} times instead of {magnified:g}, so that the bodies "
+            "stay in view."
         )
     return {
         "title": title,
@@ -101,8 +109,8 @@ def scene_of(
         "size": float(size),
         "floor": None if follow or not is_heavy else float((points @ first).min()),
         "follow": follow,
-        "magnify": max(_largest_factor(max(gaps), size), magnified),
-        "magnified": magnified,
+        "magnify": max(_largest_factor(max(gaps)), shown),
+        "magnified": shown,
         "curves": {name: CURVES[name] for name in CURVES if any(name in of for of in curves)}
         | {name: label for of in observed for name, label in of.items()},
         "linear": sorted({name for of in observed for name in of}),
@@ -111,6 +119,19 @@ def scene_of(
         "notes": notes,
         "views": list(views),
     }
+
+
+def _near(swept: Array, aims: list[dict[str, Any]]) -> tuple[list[Array], list[str]]:
+    """Return the points of targets that are near the motion, and the names of far targets."""
+    middle = 0.5 * (swept.min(axis=0) + swept.max(axis=0))
+    most = TARGET_REACH * np.linalg.norm(swept - middle, axis=1).max()
+    near, far = [], []
+    for aim in aims:
+        points = np.asarray(aim["points"])
+        is_near = np.linalg.norm(points - middle, axis=1) <= most
+        near.append(points[is_near])
+        far += [] if is_near.any() else [aim["name"] or "the target"]
+    return near, far
 
 
 def _target(name: str, target: Array) -> dict[str, Any]:
@@ -195,6 +216,8 @@ def _view(
     shapes = [_of_link(shape, each.name) or equivalent(each.body) for each in links]
     joints = drawn_joints(model, poses)
     errors = _errors(result, [each.joint for each in joints], number, rows)
+    for each in joints:
+        each.take_rounding_off(errors)
     observed = {name: result[name][rows, number] for name in _observed(model)}
     view = {
         "title": name,
@@ -209,8 +232,7 @@ def _view(
     turn = max(_turn(each.states.omega[rows, number], t[rows]) for each in links)
     grounds = [each.joint.ground_frame[:3, 3] for each in joints if each.parent is None]
     swept = np.vstack([_swept(*each) for each in zip(poses, shapes)] + grounds)
-    gap = max((each.gap_size(size) for each in joints), default=0.0)
-    return view, swept, size, gap, [*errors], turn
+    return view, swept, size, _displacement(joints, size), [*errors], turn
 
 
 def _of_link(given: Shapes, name: str) -> Shape | None:
@@ -283,6 +305,18 @@ def _observed(model: Model) -> dict[str, str]:
 # ---- sizes -------------------------------------------------------------------------------------
 
 
+def _displacement(joints: Sequence[DrawnJoint], size: float) -> float:
+    """Return the largest displacement of a body by the gaps of all joints that carry it.
+
+    It is relative to the bodies' size, or in rad.
+    """
+    total: dict[int | None, float] = {None: 0.0}
+    for each in joints:  # parents first; loops, which displace nothing, last
+        carried = 0.0 if each.closes else total.get(each.parent, 0.0)
+        total[each.child] = max(total.get(each.child, 0.0), carried + each.gap_size(size))
+    return max(total.values())
+
+
 def _swept(poses: Array, shape: Shape) -> Array:
     """Return the positions of a body's outermost vertices, (k, 3)."""
     with np.errstate(invalid="ignore"):
@@ -301,9 +335,16 @@ def _turn(omega: Array, t: Array) -> float:
     return float(np.nanmax(turns, initial=0.0))
 
 
-def _largest_factor(gap: float, size: float) -> float:
-    """Return the largest factor of the slider, a power of ten; 1 if no gap would be visible."""
+def _largest_factor(gap: float) -> float:
+    """Return the largest factor of the slider; 1 if no gap would be visible."""
     if gap * MOST_MAGNIFIED < 1e-3:
         return 1.0
-    factor = 10.0 ** math.ceil(math.log10(GAP_SHOWN / gap))
-    return float(min(max(factor, 1.0), MOST_MAGNIFIED))
+    return max(1.0, min(_in_view(gap), MOST_MAGNIFIED))
+
+
+def _in_view(gap: float) -> float:
+    """Return the factor, 1, 2 or 5 times a power of ten, up to which bodies stay in view."""
+    if gap == 0.0:
+        return math.inf
+    power = 10.0 ** math.floor(math.log10(GAP_SHOWN / gap))
+    return max(n * power for n in (1.0, 2.0, 5.0) if n * power <= GAP_SHOWN / gap)

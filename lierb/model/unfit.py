@@ -1,0 +1,80 @@
+"""Errors for rows of users' functions that are not finite at a start."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from typing import Any
+
+import numpy as np
+
+from lierb.errors import PoseError, TwistError, body_label
+from lierb.kernels.mechanics.newton_euler import BodyConstants, Kinematics
+from lierb.kernels.mechanics.rows import Row, Rows
+from lierb.kernels.mechanics.user_rows import UserRow
+from lierb.kernels.numbers.arithmetic import plain
+
+Label = Callable[[int], str]  # name of a member's pose in messages
+
+
+def unfit_rate(rows: Rows, rates: Iterable[Any], t0: float) -> TwistError | None:
+    """Error for the first prescribed rate, such as a motor's speed, that is not finite at t0."""
+    for row, rate in zip(rows, rates, strict=True):
+        each = np.atleast_1d(plain(rate))
+        for body in np.flatnonzero(~np.isfinite(each))[:1]:
+            return TwistError(
+                f"{body_label('the speed', int(body), each.size)} that {row} prescribes is "
+                f"{each[body]} {'m/s' if row.is_translational else 'rad/s'} at t0={t0:g} s, and no "
+                "twist has it; give a function that has a value there, or another t0"
+            )
+    return None
+
+
+def unfit_place(rows: Rows, places: Iterable[Any], t0: float) -> PoseError | None:
+    """Error for the first prescribed position of a motor that is not finite at t0."""
+    for row, place in zip(rows, places, strict=True):
+        each = np.atleast_1d(plain(place))
+        for body in np.flatnonzero(~np.isfinite(each))[:1]:
+            return PoseError(
+                f"{body_label('the position', int(body), each.size)} that {row} prescribes is "
+                f"{each[body]} {'m' if row.is_translational else 'rad'} at t0={t0:g} s, and no "
+                "pose has it; give a function that has a value there, or another t0"
+            )
+    return None
+
+
+def unfit_constraint(
+    rows: Rows, x: Kinematics, body: BodyConstants, label: Label, *, where: str = "",
+    has_twist: bool = False, member: int | None = None,
+) -> PoseError | None:  # fmt: skip
+    """Error for the first user's constraint that is not finite at a pose, or a derivative of it.
+
+    where : names of its links, for a mechanism.   has_twist : True if `x` has a twist, at which its
+    second derivative is checked too.   member : the only member to check.
+    """
+    for row in filter(lambda row: isinstance(row, UserRow), rows):
+        for what, number in _numbers_of(row, x, body, has_twist):
+            each = np.atleast_1d(plain(number))
+            bad = np.flatnonzero(~np.isfinite(each))
+            if member is not None and len(each) > 1:
+                bad = bad[bad == member]
+            for body_number in bad[:1].tolist():
+                name = label(body_number if member is None else member)
+                argument = name.partition("[")[0]
+                return PoseError(
+                    f"{what}{where} is {each[body_number]} at {name}; give another {argument}=, "
+                    "where it is finite, or a function that is finite there"
+                )
+    return None
+
+
+def _numbers_of(
+    row: Row, x: Kinematics, body: BodyConstants, has_twist: bool
+) -> Iterator[tuple[str, Any]]:
+    """Value and derivatives of a user's constraint, each with its name in messages."""
+    yield f"{row}", row.value(x, body)
+    slope = f"the derivative of {row}" if row.is_holonomic else f"{row}"  # linear in the twist
+    for number in row.jacobian(x, body):
+        yield slope, number
+    if has_twist:
+        second = "the second derivative" if row.is_holonomic else "the derivative"
+        yield f"{second} of {row}", row.acceleration(x, body)
