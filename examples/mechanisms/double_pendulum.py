@@ -40,7 +40,7 @@ print(f"{COUNT} double pendulums {APART:g} rad apart: after {t[parted]:.1f} s th
       f"{spread[parted]:.1f} m apart")  # fmt: skip
 print(f"distances grow by e every {1.0 / rate:.2f} s; energies are kept to {drift:.0e} J")
 
-figure, (path, fan) = plt.subplots(1, 2, figsize=(10.4, 4.6), layout="constrained")
+figure, (path, fan) = plt.subplots(2, 1, figsize=(6.4, 7.6), layout="constrained")
 colours = plt.get_cmap("viridis")(np.linspace(0.0, 1.0, COUNT))
 shown = slice(parted - 90, parted + 25)
 for k in range(0, COUNT, 4):
