@@ -39,7 +39,7 @@ extensions = [
     "reference",
     "study_file",
 ]
-exclude_patterns = ["_build", "_ext", "_templates"]
+exclude_patterns = ["_build", "_ext"]
 
 # Notebooks run whenever their page is read; an error in one ends the build.
 nb_execution_mode = "force"

@@ -49,6 +49,12 @@ def test_code_is_at_most_80_columns_wide(page):
     assert not [line for line in code if len(line) > 80]
 
 
+@pytest.mark.parametrize("file", sorted(ROOT.glob("examples/*.py")), ids=lambda file: file.name)
+def test_printed_example_is_at_most_80_columns_wide(file):
+    """Cells print these files, and a long line of their output would be wrapped."""
+    assert not [x for x in file.read_text(encoding="utf-8").splitlines() if len(x) > 80]
+
+
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
 def test_visible_cells_need_no_hidden_one(page):
     """A reader has what is printed: no variable of the build's environment, no hidden name."""

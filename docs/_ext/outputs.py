@@ -69,15 +69,24 @@ def _shall_show(code: str) -> bool:
     return bool(body) and isinstance(body[-1], ast.Expr)
 
 
+def _is_shell(code: str) -> bool:
+    """Whether a cell has commands only, of one or more lines."""
+    return all(line[:1] == "!" for line in code.replace("\\\n", " ").splitlines())
+
+
 def _check(app: Sphinx, doctree: nodes.document) -> None:
     if app.config.nb_execution_mode == "off":
         return
     for cell in _parts(doctree, "cell_code"):
         outputs = _parts(cell, "cell_code_output")
         shown = any(x.astext().strip() or list(x.findall(nodes.image)) for x in outputs)
-        source = "".join(part.astext() for part in _parts(cell, "cell_code_source"))
+        sources = _parts(cell, "cell_code_source")
+        source = "".join(part.astext() for part in sources)
         if not shown and (not source or _shall_show(source)):
             logger.warning("the cell shows nothing: %s", source[-60:], location=cell)
+        for block in (x for part in sources for x in part.findall(nodes.literal_block)):
+            if _is_shell(block.astext()):  # Python's lexer does not know lines that go on
+                block["language"] = "bash"
         for block in (x for part in outputs for x in part.findall(nodes.literal_block)):
             text = block.astext()
             if reason := unfit(text):

@@ -45,7 +45,7 @@ colours = plt.get_cmap("viridis")(np.linspace(0.0, 1.0, COUNT))
 shown = slice(parted - 90, parted + 25)
 for k in range(0, COUNT, 4):
     path.plot(*tips[shown, k, ::2].T, color=colours[k], linewidth=0.8)
-path.set(aspect="equal", xlabel="x [m]", ylabel="z [m]")
+path.set(aspect="equal", xlabel="x [m]", ylabel="z [m]", xticks=(-0.5, 0.0, 0.5))
 path.set_title(f"the tips, {t[shown.start]:.1f} to {t[shown.stop]:.1f} s", fontsize=10)
 fan.semilogy(t, spread, color="#0072B2")
 fan.semilogy(t[:parted], np.exp(start + rate * t[:parted]), "--", color="0.4")
