@@ -15,7 +15,8 @@ sys.path.insert(0, str(HERE / "_ext"))
 # Notebooks run in folders of their own, with the `lierb` of this environment.
 os.environ["DOCS"] = str(HERE)
 os.environ["PATH"] = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
-os.environ["COLUMNS"] = "100"
+os.environ["COLUMNS"] = "80"
+os.environ["TTY_COMPATIBLE"] = "0"  # of progress bars only their last state would be left
 
 logging.getLogger("traitlets").setLevel(logging.WARNING)  # which notebook runs, says Sphinx
 
@@ -71,6 +72,7 @@ mathjax_path = "tex-svg.js"
 
 html_theme = "furo"
 html_title = "lierb"
+templates_path = ["_templates"]
 html_static_path = ["_static", str(MATHJAX)]
 html_css_files = ["site.css"]
 html_copy_source = False

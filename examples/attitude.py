@@ -1,4 +1,4 @@
-"""Wheels, the computer that drives them, and what is watched: what attitude.toml names."""
+"""Wheels, the computer that drives them, and what attitude.toml records."""
 
 import numpy as np
 
@@ -7,12 +7,13 @@ import lierb
 
 @lierb.states(wheels=(0.0, 0.0, 0.0), unit={"wheels": "N m s"})
 def reaction_wheels(controls):
-    """The wheels' angular momentum in the body's axes: it takes what the body is given."""
+    """Angular momentum of the wheels, N m s, in body axes."""
     return {"wheels": -controls.torque}
 
 
 @lierb.controller(
-    every=0.1, unit={"torque": "N m"}, stiffness=0.6, damping=4.0, gyro=2e-4, most=0.05,
+    every=0.1, unit={"torque": "N m"},
+    stiffness=0.6, damping=4.0, gyro=2e-4, most=0.05,
 )  # fmt: skip
 def computer(R, omega, params):
     """A PD law back to the ground's axes, the shorter way, ten times a second.
@@ -27,7 +28,7 @@ def computer(R, omega, params):
 
 @lierb.wrench
 def reaction(t, R, r, omega, v, params, states, controls):
-    """What the wheels do to the body: the torque, and their momentum that turns with it."""
+    """Torque on the body: the command, and the turn of the wheels' momentum."""
     return controls.torque - np.cross(omega, states.wheels), np.zeros(3)
 
 

@@ -1,4 +1,4 @@
-"""The reference: entries of the joint catalogue, and dashes in lists of parameters."""
+"""The reference: joint catalogue, dashes in lists of parameters, examples of commands."""
 
 from __future__ import annotations
 
@@ -40,7 +40,19 @@ def _dashed(_app: Sphinx, doctree: nodes.document) -> None:
                 text.parent.replace(text, nodes.Text(text.replace("--", "–", 1)))
 
 
+def _commands(_app: Sphinx, doctree: nodes.document) -> None:
+    """Make code of the lines of commands in a help text; no address in one is a link."""
+    for block in list(doctree.findall(nodes.line_block)):
+        text = "\n".join(line.astext() for line in block.findall(nodes.line))
+        if text.startswith("lierb "):
+            block.replace_self(nodes.literal_block(text, text, language="console"))
+    for link in list(doctree.findall(nodes.reference)):
+        if link.get("refuri", "").startswith("tcp:"):
+            link.replace_self(nodes.literal("", link.astext()))
+
+
 def setup(app: Sphinx) -> dict[str, Any]:
     app.connect("autodoc-process-docstring", _process)
     app.connect("doctree-read", _dashed)
+    app.connect("doctree-read", _commands)
     return {"parallel_read_safe": True}

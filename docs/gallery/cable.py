@@ -31,7 +31,7 @@ result = lierb.integrate(
     cable, pose0=pose0, twist0=cable.twist(), dt=2e-4, t_end=1.2, save_every=300, record="state"
 )
 
-figure, ax = plt.subplots(figsize=(8.0, 6.0), layout="constrained")
+figure, ax = plt.subplots(figsize=(6.4, 5.4), layout="constrained")
 colours = plt.cm.viridis(np.linspace(0.0, 0.95, len(result["link0"].t)))
 for row, colour in enumerate(colours):
     middles = np.array([result[link.name].position[row, 0] for link in links])

@@ -5,8 +5,8 @@ import sys
 import matplotlib.pyplot as plt
 
 import lierb
-from lierb.results.colours import CSPACE_COLOURS
 
+COLOURS = {"SE3": "#0072B2", "SO3xR3": "#D55E00"}
 NEEDS = {"pitch": 0.07, "length": 0.35}
 box = lierb.bodies.box((0.3, 0.15, 0.05), density=2700.0)
 names = [name for name, entry in lierb.joints.JOINTS.items() if entry.rows and name != "fixed"]
@@ -18,16 +18,16 @@ joints = [
     for name in names
 ]
 
-figure, ax = plt.subplots(figsize=(8.0, 6.6), layout="constrained")
+figure, ax = plt.subplots(figsize=(7.2, 8.4), layout="constrained")
 for line, joint in enumerate(joints):
     predictions = lierb.predict(lierb.Problem(box, joint))
     for column, cspace in enumerate(("SE3", "SO3xR3")):
         found = predictions[cspace]
         for place, (row, exact) in enumerate(zip(found.rows, found.rows_exact)):
             ax.scatter(8.5 * column + place, line, s=130, marker="o" if exact else "X",
-                       color=CSPACE_COLOURS[cspace] if exact else "0.25")  # fmt: skip
-            ax.annotate(row, (8.5 * column + place, line), xytext=(0, 8), color="0.3",
-                        textcoords="offset points", ha="center", fontsize=6.5)  # fmt: skip
+                       color=COLOURS[cspace] if exact else "0.25")  # fmt: skip
+            ax.annotate(row.replace("Omega", "Ω"), (8.5 * column + place, line), xytext=(0, 8),
+                        textcoords="offset points", ha="center", color="0.3", size=8)  # fmt: skip
 ax.set_yticks(range(len(names)), [name.replace("_", " ") for name in names])
 ax.set_xticks([2.0, 10.5], ["SE(3)", "SO(3)×R³"], fontsize=12, fontweight="bold")
 ax.set(xlim=(-0.8, 14.2), ylim=(len(names) - 0.4, -0.9))

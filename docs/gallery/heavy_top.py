@@ -6,8 +6,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import lierb
-from lierb.results.colours import CSPACE_COLOURS
 
+COLOURS = {"SE3": "#0072B2", "SO3xR3": "#D55E00"}
 BODY = lierb.Body(mass=6.075, inertia=(0.0126563, 0.0468281, 0.0569531))  # kg, kg m²
 PIVOT = lierb.joints.spherical(body_point=(-0.15, 0.0375, 0.0))  # m
 TOP = lierb.Problem(BODY, PIVOT, gravity=(0.0, 0.0, -9.81))
@@ -27,7 +27,7 @@ runs = {
     for cspace in ("SE3", "SO3xR3")
 }
 
-figure = plt.figure(figsize=(10.4, 4.4), layout="constrained")
+figure = plt.figure(figsize=(8.0, 3.7), layout="constrained")
 ball = figure.add_subplot(1, 2, 1, projection="3d")
 u, v = np.mgrid[0 : 2 * np.pi : 25j, 0 : np.pi : 13j]
 ball.plot_wireframe(
@@ -41,11 +41,11 @@ for k, color in enumerate(("#009E73", "#CC79A7", "#E69F00")):
 ball.set_box_aspect((1, 1, 1), zoom=1.65)
 ball.set_axis_off()
 ball.view_init(-12, -50)
-ball.set_title("three tops: the line from pivot to centre of mass, 1.5 s", fontsize=10)
+ball.set_title("three tops: from pivot to centre of mass", fontsize=10)
 
 drift = figure.add_subplot(1, 2, 2)
 for cspace in ("SO3xR3", "SE3"):
-    color = CSPACE_COLOURS[cspace]
+    color = COLOURS[cspace]
     run = runs[cspace]
     t = run.t
     error = run.history["position_error"].to_numpy().reshape(len(t), -1)

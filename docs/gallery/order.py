@@ -6,16 +6,15 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import lierb
-from lierb.results.colours import CSPACE_COLOURS
 
 body = lierb.Body(mass=6.075, inertia=(0.0126563, 0.0468281, 0.0569531))
 pivot = lierb.joints.spherical(body_point=(-0.15, 0.0375, 0.0))
 top = lierb.Problem(body, pivot, gravity=(0.0, 0.0, -9.81))
 twist0 = pivot.twist(omega=(6.28, 3.14, 0.63))
-ROUGH, EXACT = CSPACE_COLOURS["SO3xR3"], CSPACE_COLOURS["SE3"]
+ROUGH, EXACT = "#D55E00", "#0072B2"  # SO(3)×R³, SE(3)
 steps = np.array([1e-2, 5e-3, 2.5e-3, 1e-3, 5e-4])
 
-figure, ax = plt.subplots(figsize=(7.5, 4.8), layout="constrained")
+figure, ax = plt.subplots(figsize=(6.4, 4.6), layout="constrained")
 for method, marker in (("Euler", "o"), ("Heun", "s"), ("RK4", "D")):
     errors = {}
     for cspace in ("SO3xR3", "SE3"):
@@ -30,7 +29,7 @@ for method, marker in (("Euler", "o"), ("Heun", "s"), ("RK4", "D")):
     ax.annotate(f"{method}", (steps[0], errors["SO3xR3"][0]), xytext=(8, -3),
                 textcoords="offset points", color=ROUGH)  # fmt: skip
     ax.plot(steps, errors["SE3"], marker=marker, color=EXACT, markersize=4)
-ax.annotate("SO(3)×R³: with the method's order", (6e-4, 1e-7), color=ROUGH, weight="bold")
+ax.annotate("SO(3)×R³: with the method's order", (4.5e-4, 1.5e-6), color=ROUGH, weight="bold")
 ax.annotate("SE(3): zero, whatever the method and the step", (6e-4, 2e-17), color=EXACT,
             xytext=(0, 0), textcoords="offset points", weight="bold", va="bottom")  # fmt: skip
 ax.set_xscale("log")

@@ -22,16 +22,17 @@ run = lierb.integrate(flying, twist0=twist0, dt=5e-3, t_end=12.0, save_every=4, 
 momentum = np.linalg.norm(moments * omega0, axis=1)
 separatrix = np.sqrt(4.0 * moments[1])
 
-figure = plt.figure(figsize=(6.4, 5.8), layout="constrained")
+figure = plt.figure(figsize=(6.4, 4.6), layout="constrained")
 ax = figure.add_subplot(projection="3d")
 for k, path in enumerate(run.omega.swapaxes(0, 1)):
     ax.plot(*path.T, color="#D55E00" if momentum[k] < separatrix else "#0072B2", linewidth=1.1)
 a, b, c = np.sqrt(4.0 / moments)
-ax.set_box_aspect((a, b, c), zoom=0.92)
+ax.set_box_aspect((a, b, c), zoom=0.95)
 ax.set(xlim=(-a, a), ylim=(-b, b), zlim=(-c, c))
 ax.set_xlabel("ω₁ [rad/s]")
 ax.set_ylabel("ω₂ [rad/s]")
-ax.set_zlabel("ω₃ [rad/s]")
+ax.set_zlabel("ω₃ [rad/s]", labelpad=10)
+ax.locator_params(nbins=5)
 ax.view_init(24, 36)
 
 if __name__ == "__main__":

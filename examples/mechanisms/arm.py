@@ -76,16 +76,16 @@ result = lierb.integrate(
 t, place = result.t, result["load"].position
 sag = 1e3 * (pose0["load"][2, 3] - place[..., 2])  # mm
 left = np.linalg.norm(result["load"].v[-1], axis=-1).max()
-print(f"without a load the tool sags by {sag[-1, 0]:.2f} mm, with {PAYLOAD[-1]:.0f} kg by "
-      f"{sag[-1, -1]:.2f} mm, {sag[:, -1].max():.2f} mm on the way")  # fmt: skip
+print(f"without a load the tool sags by {sag[-1, 0]:.2f} mm")
+print(f"with {PAYLOAD[-1]:.0f} kg by {sag[-1, -1]:.2f} mm, {sag[:, -1].max():.2f} mm on the way")
 print(f"{np.polyfit(PAYLOAD, sag[-1], 1)[0]:.3f} mm/kg; what still moves does so at {left:.0e} m/s")
 
-figure, (course, rest) = plt.subplots(1, 2, figsize=(10.4, 4.0), layout="constrained")
+figure, (course, rest) = plt.subplots(2, 1, figsize=(6.4, 7.0), layout="constrained")
 for k in range(0, len(PAYLOAD), 5):
     colour = plt.get_cmap("viridis")(k / len(PAYLOAD))
     course.plot(t, sag[:, k], color=colour, label=f"{PAYLOAD[k]:.1f} kg")
 course.set(xlabel="t [s]", ylabel="the tool is lower by [mm]", xlim=(0, 1))
-course.legend(fontsize=7, reverse=True, loc="center left", bbox_to_anchor=(1.0, 0.5))
+course.legend(fontsize=9, reverse=True, loc="center left", bbox_to_anchor=(1.0, 0.5))
 rest.plot(PAYLOAD, sag[-1], color="#0072B2")
 rest.set(xlabel="payload [kg]", ylabel="at rest lower by [mm]")
 for axes in (course, rest):

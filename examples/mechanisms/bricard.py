@@ -57,8 +57,8 @@ off = np.abs((1.0 + np.sin(alpha)) * (1.0 + np.sin(beta)) - 1.0).max()
 opened, drift = (result.summary[c][0].as_py() for c in ("position_error_max", "energy_drift_max"))
 print(f"off its closed form by {off:.0e}, open by {opened:.0e} m, energy off by {drift:.0e} J")
 
-figure = plt.figure(figsize=(10.4, 4.6), layout="constrained")
-space = figure.add_subplot(1, 2, 1, projection="3d")
+figure = plt.figure(figsize=(6.4, 8.0), layout="constrained")
+space = figure.add_subplot(2, 1, 1, projection="3d")
 ends = {
     name: np.stack([
         result[name].position[:, 0] + result[name].rotation[:, 0] @ (corner - middle)
@@ -72,12 +72,14 @@ for k, shade in ((0, 1.0), (25, 0.5), (50, 0.25)):
         space.plot(*points[:, k, [0, 2, 1]].T, color=f"C{i}", alpha=shade, linewidth=3)
 space.plot([0, 0], [0, 1], [0, 0], color="0.3", linewidth=3)
 space.set(xlabel="x [m]", ylabel="z [m]", zlabel="y [m]", aspect="equal")
+space.locator_params(nbins=4)
+space.set_box_aspect(None, zoom=0.85)
 space.set_title(f"at 0, {t[25]:.1f} and {t[50]:.1f} s", fontsize=10)
-curve = figure.add_subplot(1, 2, 2)
+curve = figure.add_subplot(2, 1, 2)
 curve.plot(t, np.degrees(alpha), label="α", color="#0072B2")
 curve.plot(t, np.degrees(beta), label="β", color="#D55E00")
 curve.set(xlabel="t [s]", ylabel="turn of the hinges [°]", xlim=(0, 10))
-curve.legend()
+curve.legend(frameon=False, loc="center left", bbox_to_anchor=(1.0, 0.5))
 curve.spines[["top", "right"]].set_visible(False)
 
 if __name__ == "__main__":

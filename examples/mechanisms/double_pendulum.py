@@ -40,12 +40,12 @@ print(f"{COUNT} double pendulums {APART:g} rad apart: after {t[parted]:.1f} s th
       f"{spread[parted]:.1f} m apart")  # fmt: skip
 print(f"distances grow by e every {1.0 / rate:.2f} s; energies are kept to {drift:.0e} J")
 
-figure, (path, fan) = plt.subplots(1, 2, figsize=(10.4, 4.6), layout="constrained")
+figure, (path, fan) = plt.subplots(2, 1, figsize=(6.4, 7.6), layout="constrained")
 colours = plt.get_cmap("viridis")(np.linspace(0.0, 1.0, COUNT))
 shown = slice(parted - 90, parted + 25)
 for k in range(0, COUNT, 4):
     path.plot(*tips[shown, k, ::2].T, color=colours[k], linewidth=0.8)
-path.set(aspect="equal", xlabel="x [m]", ylabel="z [m]")
+path.set(aspect="equal", xlabel="x [m]", ylabel="z [m]", xticks=(-0.5, 0.0, 0.5))
 path.set_title(f"the tips, {t[shown.start]:.1f} to {t[shown.stop]:.1f} s", fontsize=10)
 fan.semilogy(t, spread, color="#0072B2")
 fan.semilogy(t[:parted], np.exp(start + rate * t[:parted]), "--", color="0.4")

@@ -68,13 +68,13 @@ peaks = np.abs(torques).max(axis=0)  # N m
 
 print(f"as drawn: straight to {1e3 * bends[0]:.3f} mm, at most {peaks[0]:.4f} N m")
 low, middle, high = (1e3 * np.quantile(bends, q) for q in (0.05, 0.5, 0.95))
-print(f"as made:  straight to {middle:.3f} mm, 90 % between {low:.3f} and {high:.3f} mm; "
-      f"at most {peaks.min():.4f} to {peaks.max():.4f} N m")  # fmt: skip
+print(f"as made:  straight to {middle:.3f} mm, 90 % between {low:.3f} and {high:.3f} mm")
+print(f"          at most {peaks.min():.4f} to {peaks.max():.4f} N m")
 print(f"tilted by at most {1e3 * np.abs(slopes).max():.1f} mrad; "
       f"open by at most {result.summary['position_error_max'].to_numpy().max():.0e} m")  # fmt: skip
 
 figure, (path, flat, spread) = plt.subplots(
-    1, 3, figsize=(10.4, 3.6), layout="constrained", width_ratios=(1.2, 1.4, 1.0)
+    3, 1, figsize=(6.4, 9.0), layout="constrained", height_ratios=(1.4, 1.2, 1.0)
 )
 k = int(np.argmin(np.abs(t - 0.3)))  # a time at which the machine is drawn
 rod = result["rocker"]

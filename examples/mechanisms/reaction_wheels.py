@@ -100,14 +100,14 @@ print(f"turned about z by {np.degrees(found[0]):.3f}° … {np.degrees(found[-1]
 print(f"total angular momentum {away:.0e} kg m²/s, of which a wheel had "
       f"{np.abs(spins['wheel_x']).max():.2f}")  # fmt: skip
 
-figure, (momenta, turns) = plt.subplots(1, 2, figsize=(10.4, 4.0), layout="constrained")
+figure, (momenta, turns) = plt.subplots(2, 1, figsize=(6.4, 7.4), layout="constrained")
 t = result.t
 for (name, spin), colour in zip(spins.items(), ("#0072B2", "#D55E00"), strict=True):
     momenta.plot(t, spin[:, -1], color=colour, label=name)
 total = angular_momentum(result)[:, -1]
 momenta.plot(t, np.linalg.norm(total, axis=-1), color="black", label="total of all bodies")
 momenta.set(xlabel="t [s]", ylabel="angular momentum about its axis [kg m²/s]")
-momenta.legend(fontsize=8)
+momenta.legend(frameon=False, ncols=3, loc="lower center", bbox_to_anchor=(0.5, 1.0))
 for k in range(0, len(wanted), 4):
     R = result["hull"].rotation[:, k]
     turns.plot(t, np.degrees(np.arccos(np.clip(R[:, 2, 2], -1, 1))), color="0.75", linewidth=0.8)

@@ -83,7 +83,7 @@ opened, drift = (
 )
 print(f"open by at most {opened:.0e} m, energy off by at most {drift:.0e} J")
 
-figure, (transfer, width) = plt.subplots(1, 2, figsize=(10.4, 4.0), layout="constrained")
+figure, (transfer, width) = plt.subplots(2, 1, figsize=(6.4, 7.4), layout="constrained")
 colours = plt.get_cmap("viridis")(np.linspace(0.0, 1.0, len(LENGTHS)))
 for k in range(0, len(LENGTHS), 4):
     style = "-" if runs[k] else ":"

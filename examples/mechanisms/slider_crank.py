@@ -85,7 +85,7 @@ result = runs['"project"']
 t = result.t
 force = np.linalg.norm(np.stack(result.history["knuckle.reaction"].to_numpy())[:, 3:], axis=1)
 
-figure, (motion, pull, gap) = plt.subplots(1, 3, figsize=(10.4, 3.4), layout="constrained")
+figure, (motion, pull, gap) = plt.subplots(3, 1, figsize=(6.4, 8.0), layout="constrained")
 motion.plot(t, result["slider"].position[:, 0, 0], color="#0072B2")
 motion.set(xlabel="t [s]", ylabel="slider at x [m]", xlim=(0, 4))
 pull.plot(t, force, color="#0072B2")
@@ -94,7 +94,7 @@ for (name, run), colour in zip(runs.items(), ("#D55E00", "#E69F00", "#0072B2"), 
     error = run.history["position_error"].to_numpy()
     gap.semilogy(t, np.where(error > 0.0, error, np.nan), color=colour, label=name)
 gap.set(xlabel="t [s]", ylabel="the knuckle is open by [m]", ylim=(1e-18, 1e-3))
-gap.legend(fontsize=8, title="stabilise", title_fontsize=8)
+gap.legend(frameon=False, ncols=3, loc="lower center", bbox_to_anchor=(0.5, 1.0))
 for axes in (motion, pull, gap):
     axes.spines[["top", "right"]].set_visible(False)
 

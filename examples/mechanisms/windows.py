@@ -68,7 +68,7 @@ print(f"{N} windows: {len(links)} rods, {len(loops)} loops, {taken:.1f} s for 80
 print(f"off the closed form by {off:.0e} m, open by {opened:.0e} m")
 
 figure, (drawn, curve) = plt.subplots(
-    2, 1, figsize=(10.4, 4.6), layout="constrained", height_ratios=(1.0, 1.3)
+    2, 1, figsize=(7.2, 4.6), layout="constrained", height_ratios=(1.0, 2.0)
 )
 for k, shade in ((0, 1.0), (5, 0.6), (8, 0.3)):
     for names, colour in ((cranks, "#0072B2"), (bars, "#D55E00")):
@@ -82,7 +82,7 @@ height = result["crank0"].position[:, 0, 1]
 curve.plot(t, 2.0 * height, color="#0072B2", label="windows")
 curve.plot(t, np.cos(phi), ".", color="black", markersize=3, label="pendulum")
 curve.set(xlabel="t [s]", ylabel="height [m]", xlim=(0, 20))
-curve.legend(loc="upper right")
+curve.legend(frameon=False, ncols=2, loc="lower center", bbox_to_anchor=(0.5, 1.0))
 for axes in (drawn, curve):
     axes.spines[["top", "right"]].set_visible(False)
 
