@@ -210,7 +210,8 @@ def integrate(
     -----
     FailedTrajectoryWarning
         Some trajectories have failed during the run. Each has a status in `summary`; the other
-        trajectories are unaffected.
+        trajectories are unaffected. The warning names a force or state that is not finite at the
+        start, and a variable mass that is negative.
     StiffStepWarning
         Fixed steps exceed the method's stability bound for the stiffness or damping of a force of
         `lierb.forces`, or stability limits adaptive steps. The run continues.

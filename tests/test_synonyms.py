@@ -138,6 +138,7 @@ SHAPES = {
     "columns": (lambda: run(FLIGHT, twist0=np.ones((6, 10))), r"\(6, 10\).*give twist0\.T"),
     "quaternion": (lambda: BALL.pose((1, 0, 0, 0)), r"scalar_first=True"),
     "quaternions": (lambda: BALL.pose(rotation=np.ones((5, 4))), r"scalar_first=True"),
+    "qpos": (lambda: lierb.joints.free().pose((0, 0, 1, 1, 0, 0, 0)), r"scalar_first=True"),
     "angles": (lambda: BALL.pose(rotation=(0.1, 0.2, 0.3)), r"Rotation\.from_euler"),
     "inertia": (lambda: lierb.Body(1.0, (1, 1, 1, 0, 0, 0)), r"xx, xy, xz, yy, yz, zz in URDF"),
     "gravity": (lambda: lierb.Problem(BODY, BALL, gravity=-9.81), r"such as \(0, 0, -9\.81\)"),

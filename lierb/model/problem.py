@@ -305,7 +305,7 @@ class Problem(Model):
             step = solve(body, x.q, rows, jacobian, wanted, AT_REST)
             moved = se3.compose(placed, se3.exp(step.turning + step.moving))
             placed = where(closed, placed, moved)  # converged bodies are frozen
-        label = partial(_label, np.size(closed))
+        label = partial(body_label, "pose", count=np.size(closed))
         for number in np.flatnonzero(~np.atleast_1d(closed))[:1].tolist():
             if unfit := unfit_constraint(rows, given, body, label, member=number):
                 raise unfit
@@ -365,8 +365,8 @@ class Problem(Model):
         prescribed = [r.prescribed_rate(x, body) for r in self.rows]
         if error := unfit_rate(self.rows, prescribed, t0):
             raise error
-        count = np.size(placed[1][0])
-        if unfit := unfit_constraint(self.rows, x, body, partial(_label, count)):
+        label = partial(body_label, "pose", count=np.size(placed[1][0]))
+        if unfit := unfit_constraint(self.rows, x, body, label):
             raise unfit
         jacobian = methodcaller("jacobian", x, body)
         for _ in range(2):  # the second step corrects the rounding of the first
@@ -387,10 +387,6 @@ def as_mechanism(model: Model, **elements: Any) -> Mechanism:
         return Mechanism(model.links, model.loops, **elements)
     assert isinstance(model, Problem)
     return Mechanism(Link(BODY, model.body, model.joint), **elements)
-
-
-def _label(count: int, number: int) -> str:
-    return body_label("pose", number, count)
 
 
 def _stout(body: BodyConstants, length: Any) -> BodyConstants:

@@ -251,14 +251,13 @@ class Joint(Represented):
 
     @property
     def coordinate_names(self) -> tuple[str, ...]:
-        """Return the coordinates' names, for the lower pairs, all motion groups, and products.
+        """Return the names of coordinates of motion groups and products; () for a fixed joint.
 
         `phi`: angle about e₃, rad; `xi1` … `xi3`: rotation vector, rad, in the ground's joint
         frame; `d1` … `d3`: position of the body's joint frame in the ground's, m. A universal joint
         has `alpha`, the angle about e₃ of the ground, and `beta`, the angle about e₂ of the body; a
         hook joint has the angles about e₂ and e₃. A pin in a slot has `d1` and `phi`; with the slot
-        on the body, `phi` and `s`, the position of the body's joint frame along its own e₁. A
-        fixed joint has none, ().
+        on the body, `phi` and `s`, the position of the body's joint frame along its own e₁.
         """
         return () if self.name == FIXED else self.motions.names
 
@@ -391,8 +390,7 @@ class Joint(Represented):
             return SubgroupMotions(slots_of(self.rows), self.pitch)
         if self.factors:
             return ProductMotions(self.factors)
-        neither = "motions are neither a group nor a product of two"
-        why = "body does not move" if self.name == FIXED else neither
+        why = "body is fixed" if self.name == FIXED else "motions are no group and no product"
         raise ArgumentError(f"a {self.name} joint has no coordinates: its {why}")
 
 

@@ -204,5 +204,5 @@ def as_coordinates(argument: str, given: Any, names: tuple[str, ...]) -> Array:
 
 def _hint(array: Array, names: tuple[str, ...]) -> str:
     """End of the message about coordinates that may be a quaternion."""
-    is_quaternion = array.shape[-1:] == (4,) and names[:3] == TURNS
-    return f"; four numbers may be a quaternion, {QUATERNION}" if is_quaternion else ""
+    is_quaternion = array.shape[-1:] == (len(names) + 1,) and names[:3] == TURNS
+    return f"; they may have a quaternion, {QUATERNION}" if is_quaternion else ""
