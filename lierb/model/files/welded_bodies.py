@@ -54,7 +54,13 @@ def moving_body(model: MjModel, i: int, members: list[int]) -> Body:
             return light_body(model, i)
         if is_point(model, i, members):
             mass, centre, inertia = _sum(model, i, members)
-            return Body(mass, inertia + PART * _extent(model, i) * np.eye(3), centre)
+            extent = float(np.trace(_sum(model, i, hanging)[2]))
+            if not extent:
+                raise InertiaError(
+                    "the inertia is not positive definite: a point mass in the origin of its frame "
+                    "turns about itself; give it one"
+                )
+            return Body(mass, inertia + PART * extent * np.eye(3), centre)
         return _body(model, i, members)
     except LierbError as error:
         others = ", ".join(label_of(model, k) for k in members if k != i and _weighs(model, k))
@@ -130,13 +136,8 @@ def is_point(model: MjModel, i: int, members: list[int]) -> bool:
         return False
     mass, centre, inertia = _sum(model, i, members)
     about_centre = moved_inertia(np.array(mass), inertia, centre, -1.0)
-    return bool(np.abs(about_centre).max() <= ROUNDING * _extent(model, i))
-
-
-def _extent(model: MjModel, i: int) -> float:
-    """Return the size of the inertia of what hangs on body i, kg m²; of a point alone, at 1 m."""
-    mass, _, inertia = _sum(model, i, _hanging_on(model, i))
-    return float(np.trace(inertia)) or mass
+    extent = np.trace(_sum(model, i, _hanging_on(model, i))[2])
+    return bool(np.abs(about_centre).max() <= ROUNDING * extent)
 
 
 def rigid_groups(model: MjModel, merge_fixed: bool) -> tuple[dict[int, list[int]], dict[int, str]]:
