@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lierb.errors import ArgumentError, InconsistentStateWarning, brief
+from lierb.errors.synonyms import ARGUMENTS
 from lierb.kernels.systems.plan import AnyPlan, Stabilisation
 from lierb.methods import Method
 from lierb.model.base import Model
@@ -45,7 +46,6 @@ from lierb.runs.unfit_functions import unfit_function
 from lierb.support.arrays import Array
 from lierb.support.keywords import explains_keywords
 from lierb.support.progress import Progress, check_progress
-from lierb.synonyms import ARGUMENTS
 
 
 @explains_keywords(ARGUMENTS)

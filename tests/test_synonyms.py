@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 import lierb
-from lierb import synonyms
-from lierb.errors import ArgumentError, ForceError, UnknownNameError, unknown_name
+from lierb.errors import ArgumentError, ForceError, UnknownNameError, synonyms, unknown_name
 from lierb.sampling.distributions import DISTRIBUTIONS
 
 NAMES_HERE = {

@@ -28,6 +28,7 @@ from lierb.analysis.reference import (
 )
 from lierb.api import checked_model
 from lierb.errors import ArgumentError, TimeGridError, brief, items_of, require_name
+from lierb.errors.synonyms import ARGUMENTS
 from lierb.kernels.systems.plan import Stabilisation
 from lierb.methods import METHODS, Method, method_named
 from lierb.model.base import Model
@@ -42,7 +43,6 @@ from lierb.support.collected_warnings import warnings_collected
 from lierb.support.keywords import explains_keywords
 from lierb.support.progress import check_progress, reporter
 from lierb.support.representations import counted, rounded
-from lierb.synonyms import ARGUMENTS
 
 Progress = bool | Callable[[int, int, str], object] | None
 

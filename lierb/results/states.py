@@ -11,6 +11,7 @@ import numpy as np
 import pyarrow as pa
 
 from lierb.errors import ArgumentError, UnknownNameError, brief, items_of, unknown_name
+from lierb.errors.synonyms import RESULTS
 from lierb.kernels.groups import so3
 from lierb.kernels.mechanics.rows import JOINT_ROWS
 from lierb.kernels.mechanics.spatial import wrench_from
@@ -23,7 +24,6 @@ from lierb.runs.continuation import End
 from lierb.support.arrays import Array, assembled, components, is_whole, pose_matrix
 from lierb.support.keywords import no_attribute
 from lierb.support.representations import Lines, Represented, counted
-from lierb.synonyms import RESULTS
 
 STATE = ("t", "position", "rotation", "quaternion", "omega", "v")
 

@@ -6,9 +6,9 @@ frame of the mesh. Each function takes either `mass` or `density`. Arguments may
 
 from typing import TYPE_CHECKING, NoReturn
 
+from lierb.errors.synonyms import BODIES
 from lierb.model.bodies.solids import box, cylinder, from_mesh, rod, sphere
 from lierb.support.keywords import no_attribute
-from lierb.synonyms import BODIES
 
 __all__ = ["box", "cylinder", "rod", "sphere", "from_mesh"]
 

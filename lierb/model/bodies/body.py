@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lierb.errors import InertiaError, body_label, require_name, two_readings
+from lierb.errors.synonyms import BODY_ARGUMENTS
 from lierb.kernels.mechanics.newton_euler import unit_inertia
 from lierb.support.arrays import (
     Array,
@@ -21,7 +22,6 @@ from lierb.support.arrays import (
 )
 from lierb.support.keywords import explains_keywords
 from lierb.support.representations import Lines, Represented, quantity
-from lierb.synonyms import BODY_ARGUMENTS
 
 SYMMETRY_TOLERANCE = 1e-12  # relative to the largest entry
 TRIANGLE_TOLERANCE = 1e-12  # relative to the largest principal moment

@@ -14,6 +14,7 @@ Studies use the same names.
 
 from typing import TYPE_CHECKING, NoReturn
 
+from lierb.errors.synonyms import FORCES
 from lierb.model.forces import (
     added_masses,
     bushings,
@@ -39,7 +40,6 @@ from lierb.model.forces.wrenches import *  # noqa: F403
 from lierb.model.forces.wrenches import BodyWrench as BodyWrench
 from lierb.model.functions.wrenches import Force as Force
 from lierb.support.keywords import no_attribute
-from lierb.synonyms import FORCES
 
 __all__ = [
     *wrenches.__all__, *added_masses.__all__, *springs.__all__, *bushings.__all__,

@@ -8,7 +8,7 @@ rotation axis of Q ⊥ e₃.
 
 from typing import TYPE_CHECKING, NoReturn
 
-from lierb import synonyms
+from lierb.errors import synonyms
 from lierb.model.joints.catalogue import *  # noqa: F403
 from lierb.model.joints.catalogue import from_rows
 from lierb.model.joints.joint import Joint

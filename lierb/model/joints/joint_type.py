@@ -8,13 +8,13 @@ from typing import Any
 from numpy.typing import ArrayLike
 
 from lierb.errors import ArgumentError
+from lierb.errors.synonyms import JOINT_ARGUMENTS
 from lierb.kernels.mechanics.rows import JointRow, parameters_of
 from lierb.model.joints.frames import body_frame_of, ground_frame_of
 from lierb.model.joints.joint import Joint
 from lierb.model.joints.motions import Factor
 from lierb.support.arrays import as_numbers, as_positive, batch_size
 from lierb.support.keywords import explains_keywords
-from lierb.synonyms import JOINT_ARGUMENTS
 
 
 @dataclass(frozen=True)

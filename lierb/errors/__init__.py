@@ -11,7 +11,7 @@ from itertools import islice
 from reprlib import Repr
 from typing import Any
 
-from lierb.synonyms import here
+from lierb.errors.synonyms import here
 
 __all__ = [
     "LierbError", "ArgumentError", "UnknownNameError", "InertiaError", "ForceError", "PoseError",
