@@ -361,9 +361,6 @@ def test_a_single_body_has_no_gear():
         lierb.forces.gear(2.0, coordinates=("turn",))
     with pytest.raises(UnknownNameError, match="coordinates='spin' is unknown"):
         lierb.forces.gear(2.0, coordinates=("turn", "spin"))
-    machine = arm()
-    with pytest.raises(ArgumentError, match='solver="looped" does not support gears'):
-        lierb.integrate(machine, twist0=machine.twist(), dt=0.1, t_end=1.0, solver="looped")
 
 
 def test_a_study_samples_a_ratio():

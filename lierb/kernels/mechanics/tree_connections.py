@@ -14,6 +14,7 @@ of this origin relative to the other node.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -21,9 +22,9 @@ from typing import Any, NamedTuple
 from lierb.kernels.groups import se3
 from lierb.kernels.mechanics.constraints import (
     position_error_squared,
-    rate_errors_squared,
     residuals,
     rotation_error_squared,
+    squares_by_kind,
 )
 from lierb.kernels.mechanics.newton_euler import Kinematics, Motion
 from lierb.kernels.mechanics.rows import Row, Rows
@@ -112,6 +113,7 @@ class Connected:
     """Rows between two frames at their motion.
 
     here, other : motions of the two nodes, in memory.
+    second : the rows' part at a second joint, if they have one.
     """
 
     rows: Rows
@@ -119,6 +121,7 @@ class Connected:
     here: Any
     other: Any
     time: Any
+    second: Connected | None = None
 
     @cached_property
     def frame(self) -> Frame:
@@ -148,28 +151,33 @@ class Connected:
     def errors_squared(self) -> tuple[Any, ...]:
         """Squares of `measures.JOINT_ERRORS`."""
         pair = self.x, self.ends
-        rates = rate_errors_squared(self.rows, *pair, self.velocity)
+        rates = squares_by_kind(self.rows, [self.rate_error(r) for r in self.rows])
         position = position_error_squared(self.rows, *pair)
         return position, rotation_error_squared(self.rows, *pair), *rates
 
     def rate_error(self, r: Row) -> Any:
         """J V less the prescribed rate."""
         moving = dot(r.jacobian(self.x, self.ends), self.velocity)
-        return moving - r.prescribed_rate(self.x, self.ends)
+        rate = moving - r.prescribed_rate(self.x, self.ends)
+        return rate + self.second.rate_error(r.second) if self.second and r.second else rate
 
-    def loads(self, r: Row) -> tuple[Vec, Vec]:
-        """Wrenches w and −w′ of a row."""
+    def loads(self, r: Row) -> tuple[Vec, ...]:
+        """Wrenches w and −w′ of a row, at each of its joints."""
         jacobian = r.jacobian(self.x, self.ends)
-        return loads_of((jacobian[:3], jacobian[3:]), self.frame, self._between[1])
+        own = loads_of((jacobian[:3], jacobian[3:]), self.frame, self._between[1])
+        return own + self.second.loads(r.second) if self.second and r.second else own
 
-    def excess(self, r: Row, loads: tuple[Vec, Vec]) -> Any:
-        """w·(α, a) − w′·(α′, a′) − η of a row, without ν̇."""
-        own, pull = loads
+    def excess(self, r: Row, loads: tuple[Vec, ...]) -> Any:
+        """w·(α, a) − w′·(α′, a′) − η of a row, without ν̇, summed over its joints."""
+        own, pull, *others = loads
         total = dot(own, self.here[START : START + 6]) - r.acceleration(self.x, self.ends)
         total = total + dot(pull, self.other[START : START + 6])
         jacobian = r.jacobian(self.x, self.ends)
         torque, force = (mat_vec(self.frame.turn, part) for part in (jacobian[:3], jacobian[3:]))
-        return total + dot(torque + force, self._bias)
+        total = total + dot(torque + force, self._bias)
+        if self.second and r.second:
+            total = total + self.second.excess(r.second, tuple(others))
+        return total
 
     @cached_property
     def _bias(self) -> Vec:
@@ -180,13 +188,19 @@ class Connected:
             cross(omega, cross(omega, self.frame.arm)), cross(spin, swung)
         )
 
-    def mobility(self, loads: tuple[Vec, Vec], easy: tuple[Vec, Vec]) -> Any:
+    @property
+    def motions(self) -> tuple[Any, ...]:
+        """Motions of the nodes on which `loads` act."""
+        own = self.here, self.other
+        return own + self.second.motions if self.second else own
+
+    def mobility(self, loads: tuple[Vec, ...], easy: Sequence[Vec]) -> Any:
         """Square of the size of a row in the metric of each node's own inertia.
 
-        easy : reciprocals of the inertia's diagonal and of the mass, of both nodes.
+        easy : reciprocals of the inertia's diagonal and of the mass, of all nodes.
         """
         total: Any = ZERO
-        for wrench, reciprocals, node in zip(loads, easy, (self.here, self.other), strict=True):
+        for wrench, reciprocals, node in zip(loads, easy, self.motions, strict=True):
             total = total + square_of(wrench, reciprocals, node)
         return total
 

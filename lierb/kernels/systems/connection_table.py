@@ -1,15 +1,16 @@
 """Elements and constraints in the table of a tree in memory: frames, rows, paths to the ground.
 
 A *constraint* is a connection whose rows have multipliers: a loop's joint, a motor that prescribes
-a speed, a user's constraint. An *equation* is one of its rows. J M⁻¹ Jᵀ of two equations is a sum
-over the nodes on both paths to the ground. It is stored by rows, each from the first constraint
-on that shares a node with its own: the factors L and L D have no entry outside this envelope.
+a speed, a gear, a user's constraint. An *equation* is one of its rows. A gear has a *part* at each
+of its two joints; others have one. J M⁻¹ Jᵀ of two equations is a sum over the nodes on both paths
+to the ground. It is stored by rows, each from the first constraint on that shares a node with its
+own: the factors L and L D have no entry outside this envelope.
 """
 
 from __future__ import annotations
 
 from functools import lru_cache
-from itertools import accumulate
+from itertools import accumulate, combinations, pairwise, takewhile
 from math import prod
 from typing import Any, NamedTuple
 
@@ -25,7 +26,8 @@ from lierb.kernels.systems import tree_places as at
 from lierb.kernels.systems.plan import ElementKind, LoopPlan, MechanismPlan
 from lierb.kernels.systems.tree_inputs import inputs_of, placed_on
 
-# Rows of a constraint: two frames, pitch and length, mobilities of both nodes, and parameters.
+# Rows of a part of a constraint: two frames, pitch and length, mobilities of both nodes, and the
+# parameters, which the second part reads from the first.
 INNER, OUTER, PITCH, SIZE, EASY, PLACED = 0, 12, 24, 25, 26, 34
 TRAVEL = 18  # rows of a motion between two nodes: Q, d, ω, v
 
@@ -85,30 +87,32 @@ def _code(plan: MechanismPlan) -> LoopPlan:
 
 
 class Constraints(NamedTuple):
-    """Constraints of a plan.   sizes : rows of each section of memory."""
+    """Constraints of a plan.
 
-    constraints: NDArray[np.int64]
-    paths: NDArray[np.int64]
-    equations: NDArray[np.int64]
-    pairs: NDArray[np.int64]
-    stretches: NDArray[np.int64]
+    parts : tables of constraints, steps, legs, equations, pairs and stretches.   sizes : rows of
+    each section of memory.
+    """
+
+    parts: list[NDArray[np.int64]]
     sizes: dict[int, int]
 
     def tables(self, header: NDArray[np.int64], place: int) -> list[NDArray[np.int64]]:
         """Fill in the header, and return what stands behind it, from `place` on."""
-        self.constraints[:, at.PATH] += place + self.constraints.size
-        self.constraints[:, at.ROW] += header[at.CONSTRAINT_ROWS]
-        self.constraints[:, at.LEFT] += header[at.LEFT_ROW]
-        self.constraints[:, at.WRENCH] += header[at.WRENCH_ROW]
-        self.paths[:, at.FORCED] += header[at.MOTION_ROW]
-        header[[at.CONSTRAINTS, at.CONSTRAINT_TABLE]] = len(self.constraints), place
-        place += self.constraints.size + self.paths.size
-        header[[at.EQUATIONS, at.EQUATION_TABLE]] = len(self.equations), place
-        place += self.equations.size
-        header[[at.PAIRS, at.PAIR_TABLE]] = len(self.pairs), place
-        self.pairs[:, at.STRETCHES] += place + self.pairs.size
-        parts = self.constraints, self.paths, self.equations, self.pairs, self.stretches
-        return [part.ravel() for part in parts]
+        constraints, steps, legs, equations, pairs, _ = self.parts
+        places = [*accumulate((part.size for part in self.parts), initial=place)]
+        constraints[:, at.PATH] += places[1]
+        constraints[:, at.LEGS] += places[2]
+        constraints[:, at.LEFT] += header[at.LEFT_ROW]
+        for part in (0, at.SECOND_PART):
+            constraints[:, part + at.ROW] += header[at.CONSTRAINT_ROWS]
+            constraints[:, part + at.WRENCH] += header[at.WRENCH_ROW]
+        steps[:, at.FORCED] += header[at.MOTION_ROW]
+        legs[:, at.LEG_STEPS] += places[1]
+        pairs[:, at.STRETCHES] += places[5]
+        header[[at.CONSTRAINTS, at.CONSTRAINT_TABLE]] = len(constraints), places[0]
+        header[[at.EQUATIONS, at.EQUATION_TABLE]] = len(equations), places[3]
+        header[[at.PAIRS, at.PAIR_TABLE]] = len(pairs), places[4]
+        return [part.ravel() for part in self.parts]
 
 
 def constraints_of(plan: MechanismPlan, freedoms: list[int]) -> Constraints:
@@ -117,50 +121,93 @@ def constraints_of(plan: MechanismPlan, freedoms: list[int]) -> Constraints:
     multipliers = [*accumulate((len(c.rows) for c in plan.connections), initial=0)]
     table: list[tuple[int, ...]] = []
     steps: list[tuple[int, ...]] = []
-    equations: list[tuple[int, ...]] = []
-    pairs: list[tuple[int, ...]] = []
-    stretches: list[tuple[int, int, int]] = []
-    places: list[dict[int, range]] = []
-    constants = left = schur = 0
-    firsts: list[int] = []
+    legs: list[tuple[int, ...]] = []
+    paths: list[dict[int, range]] = []
+    counts: list[int] = []
+    constants = left = walked = 0
     for number, kind in plan.constraints:
-        nodes = _connection(plan, number)
-        walks = _walks(above, *nodes[:2])
-        path = sorted(i for walk in walks for i in walk)
-        own = dict(zip(path, accumulate((freedoms[i - 1] for i in path), initial=0), strict=False))
-        length = sum(freedoms[i - 1] for i in path)
-        first, count = len(equations), len(kind.rows)
-        places.append({i: range(own[i], own[i] + freedoms[i - 1]) for i in path})
-        firsts.append(first)
+        first, second, size = _parts(plan, number, kinds.index(kind), constants)
+        ends = [part[name] for part in (first, second) for name in (at.NODE, at.OTHER)]
+        walks, before, equation, count = (
+            legs_of(above, ends),
+            len(steps),
+            sum(counts),
+            len(kind.rows),
+        )
+        path = _freedoms_on(sorted(i for *_, nodes in walks for i in nodes), freedoms)
+        length = sum(map(len, path.values()))
         table.append((
-            kinds.index(kind), *nodes, constants, first, count, multipliers[number], left,
-            len(steps) * at.STEP, *map(len, walks), length, _wrench_row(plan, number),
+            *first, equation, count, multipliers[number], left,
+            before * at.STEP, len(path), len(legs) * at.LEG, len(walks), length, *second,
         ))  # fmt: skip
-        for i in (i for walk in walks for i in walk):
-            moves = freedoms[i - 1]
-            steps.append((i, own[i], moves, i * MOTION + PULLS + 6 * moves))
-        constants += PLACED + (placed_rows(kind.element) if kind.element else 0)
-        left += 2 * count * length
-        shared = [_stretches(places[-1], before) for before in places]
-        envelope = next(k for k, some in enumerate(shared) if some or k == len(table) - 1)
-        for k in range(envelope, len(table)):
-            pairs.append((len(table) - 1, k, len(stretches) * at.STRETCH, len(shared[k])))
-            stretches += shared[k]
-        for i in range(first, first + count):
-            equations.append((firsts[envelope], schur - firsts[envelope]))
-            schur += i + 1 - firsts[envelope]
-    most = max((len(kind.rows) for _, kind in plan.constraints), default=0)
+        for handed, joining, nodes in walks:
+            wrenches = 6 * count * handed, 6 * count * joining
+            legs.append((*wrenches, len(steps) * at.STEP, len(nodes)))
+            for i in nodes:
+                moves = freedoms[i - 1]
+                steps.append((i, path[i].start, moves, i * MOTION + PULLS + 6 * moves))
+        paths.append(path)
+        counts.append(count)
+        constants, left = constants + size, left + 2 * count * length
+        walked = max(walked, 6 * count * len(ends))
+    equations, pairs, stretches, schur = _pairs(paths, counts)
     sizes = {
-        at.CONSTRAINT_ROWS: constants, at.LEFT_ROW: left, at.WALK_ROW: 12 * most,
+        at.CONSTRAINT_ROWS: constants, at.LEFT_ROW: left, at.WALK_ROW: walked,
         at.SCHUR_ROW: schur, at.LOWER_ROW: schur, at.SCALED_ROW: schur,
         at.VECTOR_ROWS: at.VECTORS * len(equations),
     }  # fmt: skip
     rows = (
-        (table, at.CONSTRAINT), (steps, at.STEP), (equations, at.EQUATION), (pairs, at.PAIR),
-        (stretches, at.STRETCH),
+        (table, at.CONSTRAINT), (steps, at.STEP), (legs, at.LEG), (equations, at.EQUATION),
+        (pairs, at.PAIR), (stretches, at.STRETCH),
     )  # fmt: skip
-    parts = [np.array(numbers, np.int64).reshape(-1, width) for numbers, width in rows]
-    return Constraints(parts[0], parts[1], parts[2], parts[3], parts[4], sizes)
+    return Constraints([np.array(part, np.int64).reshape(-1, width) for part, width in rows], sizes)
+
+
+def _parts(
+    plan: MechanismPlan, number: int, index: int, row: int
+) -> tuple[tuple[int, ...], tuple[int, ...], int]:
+    """Numbers of both parts of a constraint, and the number of their rows.
+
+    index : of its kind.   row : first row of the constants.
+    """
+
+    def part(number: int, row: int) -> tuple[int, ...]:
+        return index, *_connection(plan, number), row, _wrench_row(plan, number)
+
+    kind = _code(plan).constraint_kinds[index]
+    size = PLACED + (placed_rows(kind.element) if kind.element else 0)
+    if not kind.is_on_two_joints:
+        return part(number, row), (0,) * at.PART, size
+    return part(number, row), part(plan.connections[number].second, row + size), size + PLACED
+
+
+def _freedoms_on(path: list[int], freedoms: list[int]) -> dict[int, range]:
+    """Freedoms of the nodes of a path among those of the path."""
+    ends = [*accumulate((freedoms[i - 1] for i in path), initial=0)]
+    return {i: range(*pair) for i, pair in zip(path, pairwise(ends), strict=True)}
+
+
+def _pairs(
+    paths: list[dict[int, range]], counts: list[int]
+) -> tuple[list[tuple[int, ...]], list[tuple[int, ...]], list[tuple[int, ...]], int]:
+    """Equations, pairs of constraints that share nodes, their stretches, and the entries of S.
+
+    counts : equations of each constraint.
+    """
+    equations: list[tuple[int, ...]] = []
+    pairs: list[tuple[int, ...]] = []
+    stretches: list[tuple[int, ...]] = []
+    firsts, schur = [*accumulate(counts, initial=0)], 0
+    for after, path in enumerate(paths):
+        shared = [_stretches(path, before) for before in paths[: after + 1]]
+        envelope = next(k for k, some in enumerate(shared) if some or k == after)
+        for k in range(envelope, after + 1):
+            pairs.append((after, k, len(stretches) * at.STRETCH, len(shared[k])))
+            stretches += shared[k]
+        for i in range(firsts[after], firsts[after + 1]):
+            equations.append((firsts[envelope], schur - firsts[envelope]))
+            schur += i + 1 - firsts[envelope]
+    return equations, pairs, stretches, schur
 
 
 def _wrench_row(plan: MechanismPlan, number: int) -> int:
@@ -171,14 +218,30 @@ def _wrench_row(plan: MechanismPlan, number: int) -> int:
     return 6 * (len(plan.tree) + 1 + behind if behind >= 0 else place.node + 1)
 
 
-def _walks(above: list[int], node: int, other: int) -> tuple[list[int], list[int], list[int]]:
-    """Nodes from `node` to the fork of both paths, from `other` to it, and from it to the ground.
+def legs_of(above: list[int], ends: list[int]) -> list[tuple[int, int, list[int]]]:
+    """Legs of the way of wrenches to the ground: a wrench, another one that joins it first, or 0,
+    and the nodes that hand it on. A wrench waits at the first node that others have yet to pass.
 
-    above : parent of each node, the ground being node 0.
+    above : parent of each node, the ground being node 0.   ends : node of each wrench.
     """
-    own, others = ([*_to_ground(above, i)] for i in (node, other))
-    common = [i for i in own if i in others]
-    return [i for i in own if i not in common], [i for i in others if i not in common], common
+    legs: list[tuple[int, int, list[int]]] = []
+    now = [*ends]
+
+    def walk(end: int, joining: int = 0) -> None:
+        others = {i for k, x in enumerate(now) if k != end for i in _to_ground(above, x)}
+        nodes = [*takewhile(lambda i: i not in others, _to_ground(above, now[end]))]
+        if nodes or joining:
+            legs.append((end, joining, nodes))
+        now[end] = above[nodes[-1]] if nodes else now[end]
+
+    for end in range(len(ends)):
+        walk(end)
+    while any(now):
+        pairs = combinations(range(len(ends)), 2)
+        end, joining = next((i, k) for i, k in pairs if now[i] == now[k] > 0)
+        now[joining] = 0
+        walk(end, joining)
+    return legs
 
 
 def _to_ground(above: list[int], i: int) -> list[int]:

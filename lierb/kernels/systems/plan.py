@@ -181,8 +181,9 @@ UNSTABILISED = Stabilisation()
 class ElementKind(NamedTuple):
     """Kind of an element between two nodes in memory.
 
-    on_ground : True if its other node is the ground.   on_joint : True if its frames are those of
-    a joint, not those of the nodes.   on_loop : True if this joint closes a loop.
+    on_ground : True if its other frame is that of the ground.   on_joint : True if its frames are
+    those of a joint, not those of the nodes.   on_loop : True if this joint, or the second one of a
+    gear, closes a loop.
     """
 
     element: Element
@@ -199,6 +200,10 @@ class ConstraintKind(NamedTuple):
 
     rows: Rows
     element: ElementKind | None = None
+
+    @property
+    def is_on_two_joints(self) -> bool:
+        return any(r.second for r in self.rows)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -282,7 +287,12 @@ class MechanismPlan(AnyPlan):
         """Kind of each element."""
         places = self.connections[len(self.joints) :]
         return tuple(
-            ElementKind(element, at.other == GROUND, at.joint >= 0, at.joint >= self.links)
+            ElementKind(
+                element,
+                at.other == GROUND and at.joint < 0,
+                at.joint >= 0,
+                max(at.joint, at.second) >= self.links,
+            )
             for element, at in zip(self.elements, places, strict=True)
         )
 

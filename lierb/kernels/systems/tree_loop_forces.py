@@ -7,6 +7,7 @@ from typing import Any
 
 from lierb.kernels.mechanics import tree_nodes
 from lierb.kernels.mechanics.tree import HERE, Ends
+from lierb.kernels.mechanics.tree_connections import Connected
 from lierb.kernels.mechanics.tree_nodes import JointKind
 from lierb.kernels.numbers.arithmetic import scatter, where
 from lierb.kernels.numbers.vec import Vec, add, axpy
@@ -102,10 +103,10 @@ class LoopForces(LoopMeasures):
             for_each(tree[at.NODES] * 6 + 6, lambda i: loads.put(i, 0.0))
 
         def constrain(constraint: MemoryConstraint) -> None:
-            solution, ends = constraint.vector(at.MULTIPLIERS), (constraint.node, constraint.other)
+            solution = constraint.vector(at.MULTIPLIERS)
 
             def do(kind: ConstraintKind) -> None:
-                connected = constraint.connected(kind, time)
+                connected, ends = constraint.connected(kind, time), constraint.ends(kind)
                 for i, r in enumerate(kind.rows):
                     for node, load in zip(ends, connected.loads(r), strict=True):
                         total = node.part(at.LOADS_ROW, 6)
@@ -126,17 +127,20 @@ class LoopForces(LoopMeasures):
 
 
 def _add_reaction(constraint: MemoryConstraint, time: Any) -> None:
-    """Add −Jᵀλ of a loop's joint, or of a motor in a joint, to the wrench of the joint."""
+    """Add −Jᵀλ of a loop's joint, or of a motor or gear in a joint, to the wrench of the joint."""
     solution = constraint.vector(at.MULTIPLIERS)
 
     def do(kind: ConstraintKind) -> None:
         if kind.element is not None and not kind.element.on_joint:
             return
-        connected = constraint.connected(kind, time)
-        into = constraint.tree.rows(constraint.entry(at.WRENCH))
-        total: Vec = into[0:6]
-        for i, r in enumerate(kind.rows):
-            total = axpy(-solution[i], r.jacobian(connected.x, connected.ends), total)
-        into.put(0, *total)
+        connected: Connected | None = constraint.connected(kind, time)
+        for part in constraint.parts(kind):
+            assert connected
+            into = constraint.tree.rows(part.entry(at.WRENCH))
+            total: Vec = into[0:6]
+            for i, r in enumerate(connected.rows):
+                total = axpy(-solution[i], r.jacobian(connected.x, connected.ends), total)
+            into.put(0, *total)
+            connected = connected.second
 
     constraint.each_kind(do)

@@ -150,7 +150,7 @@ class LoopProjection(LoopSteps):
     def _displaced(
         self, rates: int, tree: MemoryTree, time: Any, dropped: Lane, length: Lane
     ) -> None:
-        def value(connected: Connected, r: Row, loads: tuple[Vec, Vec]) -> Any:
+        def value(connected: Connected, r: Row, loads: tuple[Vec, ...]) -> Any:
             return connected.rate_error(r) if rates else connected.residuals.get(r, ZERO)
 
         def rest(node: MemoryNode) -> None:

@@ -1,4 +1,4 @@
-"""Equations with multipliers of a tree in memory: loops, motors and users' constraints.
+"""Equations with multipliers of a tree in memory: loops, motors, gears, users' constraints.
 
 Each equation hands its wrenches inward on its path to the ground, and leaves u = Sᵀw and
 (SᵀIS)⁻¹u at every node. These give J M⁻¹ Jᵀ, and what multipliers change of the nodes' ν̇: no pass
@@ -17,7 +17,7 @@ from lierb.kernels.mechanics.tree_connections import Connected, Path, square_of
 from lierb.kernels.mechanics.tree_nodes import Kind, action_of, easy_of
 from lierb.kernels.numbers.arithmetic import fma, minimum, sqrt, where
 from lierb.kernels.numbers.dual import value_of
-from lierb.kernels.numbers.vec import Vec, add, dot, norm, scale
+from lierb.kernels.numbers.vec import Vec, dot, norm, scale
 from lierb.kernels.numbers.zero import ZERO, is_zero
 from lierb.kernels.systems import tree_places as at
 from lierb.kernels.systems.connection_table import EASY
@@ -28,8 +28,6 @@ from lierb.kernels.systems.tree_memory import LoopBody, MemoryConstraint, Memory
 from lierb.kernels.tracing.arrays import Index
 from lierb.kernels.tracing.lanes import Lane
 from lierb.kernels.tracing.memory import accumulated, for_each, if_not_zero, integer_at
-
-WRENCHES = 12  # rows of an equation on its way: wrenches from its first node, and from the other
 
 
 class LoopRows(LoopStart):
@@ -72,17 +70,20 @@ class LoopRows(LoopStart):
         """
 
         def one(constraint: MemoryConstraint) -> None:
-            wrenches, easy = tree.section(at.WALK_ROW), constraint.rows[EASY : EASY + 8]
+            wrenches = tree.section(at.WALK_ROW)
             vectors = [constraint.vector(x) for x in (at.EXCESS, at.MOBILITY, at.RATE)]
 
             def do(kind: ConstraintKind) -> None:
-                connected = constraint.connected(kind, time)
+                connected, count = constraint.connected(kind, time), len(kind.rows)
+                starts = [(part, EASY + k) for part in constraint.parts(kind) for k in (0, 4)]
+                easy = [part.rows[k : k + 4] for part, k in starts]
                 for i, r in enumerate(kind.rows):
                     loads = connected.loads(r)
-                    wrenches.put(WRENCHES * i, *loads[0], *loads[1])
+                    for end, load in enumerate(loads):
+                        wrenches.put(6 * (end * count + i), *load)
                     numbers = (
                         value(connected, r, loads),
-                        connected.mobility(loads, (easy[:4], easy[4:])),
+                        connected.mobility(loads, easy),
                         r.prescribed_rate(connected.x, connected.ends),
                     )
                     for vector, number in zip(vectors, numbers, strict=True):
@@ -99,7 +100,7 @@ class LoopRows(LoopStart):
         tolerance = tree.values.rows(0).zero + PIVOT_TOLERANCE
         eliminate(tree, self._run, tolerance, at.MULTIPLIERS)
 
-    def _excess(self, connected: Connected, r: Row, loads: tuple[Vec, Vec]) -> Any:
+    def _excess(self, connected: Connected, r: Row, loads: tuple[Vec, ...]) -> Any:
         """J V̇ − η, with Baumgarte's terms."""
         kept, excess = self.plan.stabilisation, connected.excess(r, loads)
         if kept.kind != "baumgarte":
@@ -108,30 +109,30 @@ class LoopRows(LoopStart):
         return fma(kept.beta * kept.beta, connected.residuals.get(r, ZERO), excess)
 
     def _hand_on(self, tree: MemoryTree, constraint: MemoryConstraint) -> None:
-        """Hand the wrenches of a constraint's equations to the ground."""
-        place = constraint.entry(at.PATH)
-        own, others = constraint.entry(at.OWN), constraint.entry(at.OTHERS)
-        common = constraint.entry(at.COMMON)
-        walk = partial(self._run, "walk", tree, self._walk, constraint.first)
-        walk(place, own, tree.index(0))
-        place = place + own * at.STEP
-        walk(place, others, tree.index(6))
+        """Hand the wrenches of a constraint's equations to the ground, leg by leg."""
+        legs, first = constraint.entry(at.LEGS), tree[at.WALK_ROW]
 
-        def go_on() -> None:
-            def one(i: Index) -> None:
-                wrenches = tree.rows(tree[at.WALK_ROW] + i * WRENCHES)
-                wrenches.put(0, *add(wrenches[0:6], wrenches[6:12]))
+        def leg(k: Index) -> None:
+            entries = [integer_at(tree.table, legs + k * at.LEG + c) for c in range(at.LEG)]
+            joining, wrenches = entries[at.JOINING], first + entries[at.HANDED]
 
-            for_each(constraint.entry(at.HOLDS), one)
-            walk(place + others * at.STEP, common, tree.index(0))
+            def join() -> None:
+                into, more = tree.rows(wrenches), tree.rows(first + joining)
+                numbers = constraint.entry(at.HOLDS) * 6
+                for_each(numbers, lambda i: into.put(i, into[i] + more[i]))
 
-        if_not_zero(common, go_on)
+            if_not_zero(joining, join)
+            steps = entries[at.LEG_STEPS], entries[at.LEG_LENGTH]
+            self._run("walk", tree, self._walk, constraint.first, *steps, wrenches)
+
+        for_each(constraint.entry(at.LEG_COUNT), leg)
 
     def _walk(
-        self, tree: MemoryTree, constraint: Index, place: Index, steps: Index, side: Index
+        self, tree: MemoryTree, constraint: Index, place: Index, steps: Index, first: Index
     ) -> None:
-        """Hand wrenches inward over some nodes.   place : of the first in the table.   side : 0 for
-        the wrenches on the constraint's first node, 6 for those on the other.
+        """Hand wrenches inward over some nodes.
+
+        place : of the first step in the table.   first : row of the first wrench.
         """
         own = MemoryConstraint(tree, constraint)
         count, length = own.entry(at.HOLDS), own.entry(at.LENGTH)
@@ -146,9 +147,9 @@ class LoopRows(LoopStart):
                 path = Path.of(kind, node.constants, node.motion)
 
                 def equation(i: Index) -> None:
-                    wrenches = tree.rows(tree[at.WALK_ROW] + i * WRENCHES + side)
-                    u, moved, asked, above = path.passed(wrenches[0:6])
-                    wrenches.put(0, *above)
+                    wrench = tree.rows(first + i * 6)
+                    u, moved, asked, above = path.passed(wrench[0:6])
+                    wrench.put(0, *above)
                     if u:
                         tree.rows(left + i * length).put(0, *u)
                         tree.rows(left + (count + i) * length).put(0, *moved)
@@ -192,7 +193,6 @@ class LoopRows(LoopStart):
             count, length = constraint.entry(at.HOLDS), constraint.entry(at.LENGTH)
             solution, place = constraint.vector(at.MULTIPLIERS), constraint.entry(at.PATH)
             moved = constraint.entry(at.LEFT) + count * length
-            nodes = constraint.entry(at.OWN) + constraint.entry(at.OTHERS)
 
             def step(k: Index) -> None:
                 numbers = place + k * at.STEP
@@ -207,7 +207,7 @@ class LoopRows(LoopStart):
 
                 for_each(integer_at(tree.table, numbers + at.MOVES), freedom)
 
-            for_each(nodes + constraint.entry(at.COMMON), step)
+            for_each(constraint.entry(at.STEPS), step)
 
         tree.for_constraints(one)
 

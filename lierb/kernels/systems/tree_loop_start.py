@@ -159,19 +159,24 @@ class LoopStart(TreeInMemory):
         element.each_kind(do)
 
     def _load_constraint(self, numbers: Numbers, constraint: MemoryConstraint) -> None:
-        ends = constraint.node, constraint.other
-        easy = [x for each in ends for x in _easy_of(each)]
-        joint = _joint_of(constraint, numbers)
+        def given(part: MemoryConnection) -> tuple[dict[str, Vec], list[Any]]:
+            easy = [x for each in (part.node, part.other) for x in _easy_of(each)]
+            return _joint_of(part, numbers), easy
+
+        first = given(constraint)
 
         def do(kind: ConstraintKind) -> None:
-            stored: Sequence[Any] = ()
-            if kind.element is None:
-                frames = _frames_on(constraint, joint)
-            else:
-                inner, outer, placed = _placed(constraint, kind.element, numbers)
-                frames, stored = (inner, outer), _stored(kind.element, placed)
-            constraint.rows.put(0, *flatten(frames), *joint["pitch"], *joint["length"])
-            constraint.rows.put(EASY, *easy, *stored)
+            for part in constraint.parts(kind):
+                joint, easy = first if part is constraint else given(part)
+                stored: Sequence[Any] = ()
+                if kind.element is None:
+                    frames = _frames_on(part, joint)
+                else:
+                    inner, outer, placed = _placed(part, kind.element, numbers)
+                    frames = inner, outer
+                    stored = _stored(kind.element, placed) if part is constraint else ()
+                part.rows.put(0, *flatten(frames), *joint["pitch"], *joint["length"])
+                part.rows.put(EASY, *easy, *stored)
 
         constraint.each_kind(do)
 

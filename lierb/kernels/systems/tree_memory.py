@@ -16,6 +16,7 @@ from lierb.kernels.functions.signals import NO_SIGNALS, Signals
 from lierb.kernels.groups import se3
 from lierb.kernels.mechanics import tree_nodes
 from lierb.kernels.mechanics.newton_euler import Motion
+from lierb.kernels.mechanics.rows import Rows as JointRows
 from lierb.kernels.mechanics.spatial import Pose, twist_at
 from lierb.kernels.mechanics.tree import HERE, Connection, Ends
 from lierb.kernels.mechanics.tree_connections import (
@@ -207,13 +208,33 @@ class MemoryConstraint(MemoryConnection):
 
     def connected(self, kind: ConstraintKind, time: Any) -> Connected:
         """Rows at the motion in memory."""
-        rows, element = self.rows, kind.element
+        element = kind.element
         own = element is None or element.on_loop
-        inner = frame_at(rows, INNER) if own else HERE
-        outer = frame_at(rows, OUTER) if own or (element and element.on_joint) else HERE
+        on_joint = own or (element is not None and element.on_joint)
         placed = (self.parameters(element, PLACED),) if element else ()
-        ends = Ends(inner, outer, rows[PITCH], rows[SIZE], placed)
-        return Connected(kind.rows, ends, self.node.motion, self.other.motion, time)
+        seconds = tuple(r.second for r in kind.rows if r.second)
+
+        def at_part(
+            part: MemoryConnection, rows: JointRows, second: Connected | None = None
+        ) -> Connected:
+            numbers = part.rows
+            inner = frame_at(numbers, INNER) if own else HERE
+            outer = frame_at(numbers, OUTER) if on_joint else HERE
+            ends = Ends(inner, outer, numbers[PITCH], numbers[SIZE], placed)
+            return Connected(rows, ends, part.node.motion, part.other.motion, time, second)
+
+        first, *others = self.parts(kind)
+        return at_part(first, kind.rows, *(at_part(part, seconds) for part in others))
+
+    def parts(self, kind: ConstraintKind) -> list[MemoryConnection]:
+        """The constraint at its joint, and at a second one if its rows have it."""
+        if not kind.is_on_two_joints:
+            return [self]
+        return [self, MemoryConnection(self.tree, self.first + at.SECOND_PART)]
+
+    def ends(self, kind: ConstraintKind) -> list[MemoryNode]:
+        """The nodes on which wrenches of its rows act."""
+        return [node for part in self.parts(kind) for node in (part.node, part.other)]
 
     def vector(self, name: int) -> Rows:
         """Rows of the constraint's equations in a vector of all equations."""

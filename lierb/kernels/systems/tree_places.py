@@ -41,17 +41,23 @@ from lierb.kernels.systems.measures import JOINT_ERRORS
     KIND, JOINT, ROLE, BASE, PARENT, CHART, FREEDOM, PASSES, CHILDREN, SIBLING, LINK, CHART_END,
     V_END, MULTIPLIER, TABLE,
 ) = range(15)  # fmt: skip
-# An element's numbers: its kind, its two nodes, its joint, its first column and its row. Those of a
-# constraint go on: its first equation and their number; column of λ and row of u; the place of its
-# path, the numbers of nodes from its first node to the fork, from the other one, and from the fork
-# to the ground, and the number of freedoms on all of it; row of the wrench of its joint.
+# An element's numbers: its kind, its two nodes, its joint, its first column and its row.
 CONNECTION_KIND, NODE, OTHER, ON_JOINT, COLUMN, ROW, ELEMENT = range(7)
-(
-    FIRST, HOLDS, LAMBDA, LEFT, PATH, OWN, OTHERS, COMMON, LENGTH, WRENCH, CONSTRAINT,
-) = range(ELEMENT, ELEMENT + 11)  # fmt: skip
+# A constraint's part at two nodes has these, and the row of the wrench of its joint. A constraint
+# has the numbers of its first part; its first equation and their number; column of λ and row of u;
+# places and numbers of the steps of its path and of the legs on it, and the number of freedoms on
+# the path; then the numbers of the part at its second joint.
+WRENCH, PART = ELEMENT, ELEMENT + 1
+FIRST, HOLDS, LAMBDA, LEFT, PATH, STEPS, LEGS, LEG_COUNT, LENGTH, SECOND_PART = range(
+    PART, PART + 10
+)
+CONSTRAINT = SECOND_PART + PART
 # A node on a path: its index, the first of its freedoms among those of the path, their number, and
 # the row of its ν̇ by loads alone.
 PATH_NODE, ON_PATH, MOVES, FORCED, STEP = range(5)
+# A leg of a path: the row of the wrenches that it hands on, the row of those that join them first,
+# or 0, and the place and number of its steps.
+HANDED, JOINING, LEG_STEPS, LEG_LENGTH, LEG = range(5)
 # An equation's numbers: the first equation in its row of S, and the row of S at equation 0.
 ENVELOPE, AT, EQUATION = range(3)
 # A pair's numbers: two constraints, the place and number of the stretches of freedoms on both

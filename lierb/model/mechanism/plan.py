@@ -126,7 +126,6 @@ def why_unrolled(plan: MechanismPlan) -> str:
         "functions that are called body by body": plan.calls_functions,
         "functions of accelerations": any(e.feels for e in plan.elements),
         "added inertia": any(e.adds_inertia for e in plan.elements),
-        "gears": any(e.joints > 1 for e in plan.elements),
         f'update="{plan.update}"': plan.update != "local",
         "this method": not plan.is_explicit or plan.has_exponentials,
     }
