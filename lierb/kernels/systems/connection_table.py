@@ -143,9 +143,8 @@ def constraints_of(plan: MechanismPlan, freedoms: list[int]) -> Constraints:
         for handed, joining, nodes in walks:
             wrenches = 6 * count * handed, 6 * count * joining
             legs.append((*wrenches, len(steps) * at.STEP, len(nodes)))
-            for i in nodes:
-                moves = freedoms[i - 1]
-                steps.append((i, path[i].start, moves, i * MOTION + PULLS + 6 * moves))
+            own = ((i, path[i].start, len(path[i])) for i in nodes)
+            steps += [(i, *moves, i * MOTION + PULLS + 6 * moves[1]) for i, *moves in own]
         paths.append(path)
         counts.append(count)
         constants, left = constants + size, left + 2 * count * length
