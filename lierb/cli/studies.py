@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from lierb.cli.terminal import INTERRUPTED, print_whole, wrapped
-from lierb.errors import StudyError
+from lierb.errors import ArgumentError, StudyError
 from lierb.studies.description.changes import parsed, written
 from lierb.studies.description.shipped import example as text_of
 from lierb.studies.description.shipped import examples
@@ -83,6 +83,8 @@ SET = click.option(
 
 def _probabilities(_ctx: click.Context, _param: click.Parameter, given: str) -> tuple[float, ...]:
     """Parse the option --quantiles: percentages, as probabilities."""
+    from lierb.studies.description.quantiles import fractions
+
     try:
         percents = [float(each) for each in given.split(",")]
     except ValueError:
@@ -91,7 +93,10 @@ def _probabilities(_ctx: click.Context, _param: click.Parameter, given: str) -> 
         raise click.BadParameter(
             f"{given}; expected percentages above 0 and below 100, as 50,95,99.73"
         )
-    return tuple(sorted({each / 100.0 for each in percents}))
+    try:
+        return fractions("--quantiles", sorted({*percents}))
+    except ArgumentError as error:
+        raise click.BadParameter(str(error)) from None
 
 
 QUANTILES = click.option(
@@ -304,8 +309,8 @@ def predict(study: Path, changes: Changes) -> None:
     from lierb.studies.description.study import Study
 
     loaded = Study.load(study, changes)
-    problem, pose0, _ = loaded.batch(0, 1).first
-    prediction = predict_joints(problem, pose0, update=loaded.integrate.update)
+    first = loaded.batch(0, 1).first
+    prediction = predict_joints(first.problem, first.pose0, update=loaded.integrate.update)
     click.echo(str(prediction))
     for joint, each in joint_by_joint(prediction):
         click.echo(wrapped(f"{', '.join(filter(None, (joint, each.cspace)))}: {each.reason}"))

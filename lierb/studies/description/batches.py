@@ -9,6 +9,7 @@ from math import prod
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lierb.errors import PoseError, StudyError
 from lierb.kernels.mechanics.elements import INITIAL
@@ -34,17 +35,33 @@ class Batch:
     twist0 : (n, 6), of a mechanism by link.
     pose0 : (n, 4, 4), of a mechanism by link; None for the closed joint.
     draws : of each sampled quantity, by its path.
+    seed, trajectories : seed of the study, and numbers of the bodies in it, (n,); the noise of
+        controllers depends on them.
     """
 
     problem: Problem | Mechanism
     twist0: Any
     pose0: Any
     draws: dict[str, Array]
+    seed: int
+    trajectories: NDArray[np.int_]
 
     @property
-    def first(self) -> tuple[Problem | Mechanism, Any, Any]:
-        """Return problem, pose and twist of the first body alone."""
-        return self.problem.of_body(0), _first_of(self.pose0), _first_of(self.twist0)
+    def start(self) -> dict[str, Any]:
+        """Return the keywords of `lierb.integrate` for these bodies: start, and noise if any."""
+        start = {"pose0": self.pose0, "twist0": self.twist0}
+        if self.problem.controllers:
+            start |= {"seed": self.seed, "trajectories": self.trajectories}
+        return start
+
+    @property
+    def first(self) -> Batch:
+        """Return the first body alone; its pose and twist have no axis of bodies."""
+        draws = {path: values[:1] for path, values in self.draws.items()}
+        return Batch(
+            self.problem.of_body(0), _first_of(self.twist0), _first_of(self.pose0), draws,
+            self.seed, self.trajectories[:1],
+        )  # fmt: skip
 
 
 def _first_of(arrays: Any) -> Any:
@@ -61,7 +78,7 @@ def batch_of(study: StudyTables, first: int, count: int, design: Design | None =
 
 
 def batch_at(study: StudyTables, draws: dict[str, Array], first: int, count: int) -> Batch:
-    """Make and start bodies with these draws.   first : number of the first, for messages."""
+    """Make and start bodies with these draws.   first : number of the first."""
     own: Draws = {}
     for path, values in draws.items():
         section, _, key = path.rpartition(".")
@@ -80,7 +97,8 @@ def batch_at(study: StudyTables, draws: dict[str, Array], first: int, count: int
             f"sample.{next(iter(own))}: there is no such {table.removesuffix('s')}; known: {names}"
         )
     problem, twist0, pose0 = ready
-    return Batch(problem, twist0, pose0, draws)
+    numbers = np.arange(first, first + count)
+    return Batch(problem, twist0, pose0, draws, study.sample.seed, numbers)
 
 
 def _elements(study: StudyTables, own: Draws) -> Elements:

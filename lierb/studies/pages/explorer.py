@@ -47,7 +47,7 @@ def explorer(dataset: Results, ranked: list[Ranking], errors: Iterable[str]) -> 
             mode="markers", name=look.setting.label, customdata=rows["trajectory"][some],
             marker={"size": 5, "opacity": 0.5, "color": look.key.colour,
                     "symbol": SYMBOLS[sizes.index(look.setting.step) % len(SYMBOLS)]},
-            hovertemplate="trajectory %{customdata}<br>%{x:.4g}, %{y:.2e}",
+            hovertemplate="trajectory %{customdata}<br>%{x:.6g}, %{y:.6g}",
         )  # fmt: skip
     if not any(numbers.size for x in across for numbers in x.values()):
         return ""

@@ -21,14 +21,14 @@ from lierb.studies.findings.columns import drawn_columns, ok_columns
 from lierb.studies.findings.linear_theory import left_out
 from lierb.studies.findings.ranking import Ranking, rankings
 from lierb.studies.findings.sizes import errors_seen
-from lierb.studies.findings.tables import named, shares_of, with_interval
+from lierb.studies.findings.tables import form_of, named, shares_of, with_interval
 from lierb.studies.pages.replays import chosen, description_of, replayed
 from lierb.studies.storage.parts import Parts
 from lierb.studies.storage.replaying import call_of
 from lierb.studies.storage.results import IS_SUCCESS, Results, setting_columns
 from lierb.support.extras import require
 from lierb.support.files import require_page, write_whole
-from lierb.support.representations import rounded
+from lierb.support.representations import apart, rounded
 
 require("report")
 import jinja2  # noqa: E402
@@ -71,8 +71,9 @@ def write_report(
         lstrip_blocks=True,
     )
     environment.globals |= {  # functions that the template calls
-        "data_url": data_url, "named": named, "orders": findings.orders, "panels_of": panels_of,
-        "rounded": rounded, "shares_of": shares_of, "with_interval": with_interval, "zip": zip,
+        "data_url": data_url, "form_of": form_of, "named": named, "orders": findings.orders,
+        "panels_of": panels_of, "rounded": rounded, "shares_of": shares_of,
+        "with_interval": with_interval, "zip": zip,
     }  # fmt: skip
     page = environment.get_template(TEMPLATE).render(_values(dataset, rank_by, probabilities))
     write_whole(path, page.encode())
@@ -128,8 +129,9 @@ def _steps_done(dataset: Results) -> int:
 def _predictions(study: Study) -> list[tuple[str, Prediction]]:
     """Return predictions for each joint of the first body; [] if no theorem applies."""
     try:
-        problem, pose0, _ = study.batch(0, 1).first
-        return list(joint_by_joint(predict(problem, pose0, update=study.integrate.update)))
+        first = study.batch(0, 1).first
+        made = predict(first.problem, first.pose0, update=study.integrate.update)
+        return list(joint_by_joint(made))
     except LierbError:
         return []
 
@@ -164,16 +166,30 @@ def _worst(dataset: Results, ranking: Ranking) -> list[dict[str, Any]]:
             {"ranking": named(ranking.label, unit), "value": values[i], "setting": setting.label,
              "trajectory": int(rows["trajectory"][i]),
              "call": call_of(study, setting, int(rows["trajectory"][i])),
-             "draws": {each.removeprefix("sample."): _drawn(rows[each][i]) for each in drawn}}
+             "draws": {each.removeprefix("sample."): rows[each][i] for each in drawn}}
             for i in ranking.order(values)[:WORST]
         ]  # fmt: skip
     order = ranking.order(np.array([each["value"] for each in worst]))
-    return [worst[i] for i in order[:WORST]]
+    worst = [worst[i] for i in order[:WORST]]
+    shown = apart([each["value"] for each in worst])
+    draws = {name: _drawn([each["draws"][name] for each in worst]) for name in _names(worst)}
+    return [
+        each | {"value": value, "draws": {name: texts[i] for name, texts in draws.items()}}
+        for i, (each, value) in enumerate(zip(worst, shown))
+    ]
 
 
-def _drawn(draw: Any) -> str:
-    numbers = ", ".join(f"{x:.4g}" for x in np.atleast_1d(draw))
-    return f"({numbers})" if np.ndim(draw) else numbers
+def _names(worst: list[dict[str, Any]]) -> list[str]:
+    return [*worst[0]["draws"]] if worst else []
+
+
+def _drawn(draws: list[Any]) -> list[str]:
+    """Format draws of a quantity, each component with digits that tell the bodies apart."""
+    columns = zip(*(apart([*component]) for component in zip(*map(np.ravel, draws))))
+    return [
+        f"({', '.join(texts)})" if np.ndim(draw) else texts[0]
+        for draw, texts in zip(draws, columns)
+    ]
 
 
 def _failures(dataset: Results) -> list[dict[str, Any]]:
