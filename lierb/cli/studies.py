@@ -370,6 +370,8 @@ def _show(dataset: Dataset, probabilities: tuple[float, ...]) -> None:
         print_whole(table)
     for line in (*linear_theory.left_out(theory), *(t.warning for t in theory if t.warning)):
         click.secho(wrapped(line), fg="yellow")
+    if moved := dataset.manifest.get("moved"):
+        click.secho(wrapped(f"{moved}."), fg="yellow")
     done, total = len(dataset.parts), dataset.manifest["asked"]
     state = dataset.rest(f"the rest with: {_again(dataset, '--resume')}")
     click.echo(f"{dataset.folder}: {done} of {total} parts{state}")

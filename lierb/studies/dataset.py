@@ -247,6 +247,8 @@ class Dataset(Results):
         ]
         if failed := sum(sum(entry.get("failed", {}).values()) for _, entry in self._summaries()):
             lines.append((FAILED, f"{failed} of {self.trajectories}; failures() says more"))
+        if moved := self.manifest.get("moved"):
+            lines.append(("start", moved))
         tables = tables_of_study(study)
         lines.append(("tables", ", ".join(f'.table("{name}")' for name in tables)))
         return f"lierb.Dataset of {self.folder}: study {study['name']!r}", lines

@@ -36,10 +36,11 @@ from lierb.model.mechanism.row_system import (
     reversed_joint,
     wrong_way,
 )
-from lierb.support.arrays import Array, assembled, pose_components, pose_matrix
+from lierb.support.arrays import Array, assembled, components, pose_components, pose_matrix
 from lierb.support.progress import reporter
 
 if TYPE_CHECKING:
+    from lierb.model.connections import Connection
     from lierb.model.mechanism.kinematics import TreeKinematics
 
 # Damping of Newton's steps, relative to the squared residual. Of 240 starts (four-bars, a
@@ -297,21 +298,37 @@ def _no_convergence(
 
 
 def projected(
-    mechanism: TreeKinematics, twists: list[Array], poses: list[Array], t0: float
+    mechanism: TreeKinematics,
+    twists: list[Array],
+    poses: list[Array],
+    t0: float,
+    driven: list[Array] | None = None,
 ) -> list[Array]:
-    """Return the nearest twists that satisfy all joints and loops."""
-    parts = _parts(mechanism, [("twist", twists, 1), ("pose", poses, 2)])
+    """Return the nearest twists that satisfy all joints and loops.
+
+    driven : twists of all links, by which fixed joints in the tree move; they are at rest if None.
+    """
+    arguments = [("twist", twists, 1), ("pose", poses, 2)]
+    arguments += [("hold", driven, 1)] if driven else []
+    parts = _parts(mechanism, arguments)
     return _joined([_projected(part, t0) for part in parts], parts[0].is_batch)
 
 
 def _projected(part: Part, t0: float) -> list[Array]:
     links = len(part.mechanism.links)
-    given, poses = part.arrays[:links], [pose_components(pose) for pose in part.arrays[links:]]
+    given, driven = part.arrays[:links], [components(x) for x in part.arrays[2 * links :]]
+    poses = [pose_components(pose) for pose in part.arrays[links : 2 * links]]
     system = System(part.mechanism, len(given[0]))
     start = [tuple(twist[:, i] for i in range(6)) for twist in given]
     states = system.states(poses, start, np.float64(t0))
     rows = tuple(r for s in states for r in s.at.rows)
     prescribed = [r.prescribed_rate(s.x, s.body) for s in states for r in s.at.rows]
+    if driven:
+        moves = [(s, r) for s in system.states(poses, driven) for r in s.at.rows]
+        prescribed = [
+            s.rate(r) if _is_fixed(part.mechanism, s.at) else rate
+            for (s, r), rate in zip(moves, prescribed, strict=True)
+        ]
     if error := unfit_rate(rows, prescribed, t0):
         raise error
     if not rows:
@@ -344,6 +361,12 @@ def _projected(part: Part, t0: float) -> list[Array]:
         at = [s.at for s in states for _ in s.at.rows][row]
         raise _contradiction(part.label("twist", member), name_of(part.mechanism, at))
     return [np.broadcast_to(assembled(twist), (system.count, 6)) for twist in twists]
+
+
+def _is_fixed(mechanism: TreeKinematics, at: Connection) -> bool:
+    """Return whether a connection is the fixed joint between a link and its parent."""
+    is_rigid = at.joint is not None and at.joint.name == "fixed"
+    return is_rigid and not at.elements and at.name == mechanism.names[at.body]
 
 
 def _contradiction(label: str, connection: str) -> TwistError:

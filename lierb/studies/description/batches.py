@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lierb.errors import PoseError, StudyError
+from lierb.errors import PoseError, StudyError, TwistError
 from lierb.kernels.mechanics.elements import INITIAL
 from lierb.model.mechanism.links import Link, Loop
 from lierb.model.mechanism.mechanism import Mechanism
@@ -159,17 +159,19 @@ def _mechanism(
             loops.append(Loop(loop.name, joint, loop.body, loop.parent))
     with at("problem"):
         mechanism = Mechanism(links, loops, _gravity(study, own), **elements)
-    close, t0 = study.initial.close or AUTO, study.integrate.t0
+    close, hold = study.initial.close or AUTO, study.initial.hold or []
     with at("initial"):
         try:
-            twists, poses = started_mechanism(mechanism, initial, close, count, t0)
-        except PoseError as error:  # which numbers the bodies of this batch from 0
+            twists, poses = started_mechanism(
+                mechanism, initial, close, hold, count, study.integrate.t0
+            )
+        except (PoseError, TwistError) as error:  # which number the bodies of this batch from 0
             numbered = re.sub(
-                r"^pose\b(?:\[(\d+)\])?",
+                r"^(?:pose|twist)\b(?:\[(\d+)\])?",
                 lambda match: f"trajectory {first + int(match[1] or 0)}",
                 str(error),
             )
-            raise PoseError(numbered) from None
+            raise type(error)(numbered) from None
     return mechanism, twists, poses
 
 

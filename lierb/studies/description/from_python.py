@@ -28,7 +28,7 @@ from lierb.sampling import Design
 from lierb.studies.description.code import PREFIX, source_of
 from lierb.studies.description.sections.bodies import POINTS
 from lierb.studies.description.sections.running import IntegrateSection, OutputSection
-from lierb.studies.description.sections.sampling import KEYS, KEYS_OF_LINK, OF_LINK
+from lierb.studies.description.sections.sampling import KEYS, KEYS_OF_LINK, OF_LINK, OF_MECHANISM
 from lierb.studies.description.study import Study
 from lierb.studies.description.study_file import ELEMENTS
 from lierb.studies.description.study_tables import NOTHING
@@ -64,7 +64,8 @@ def study_of(
     initial : dict, optional
         Start of all bodies, except for sampled quantities: omega, twist, coordinates, … as in the
         table [initial]. For a mechanism by link: {"crank": {"coordinates": 0.3}}. Open joints are
-        then closed, to the nearest poses and twists, unless `initial` has close="never".
+        then closed, to the nearest poses and twists; {"hold": ["crank"]} beside the links keeps the
+        given coordinates and velocities of some, {"close": "never"} closes nothing.
     **settings : object
         Keys of [integrate], such as dt, rtol, save_at and t_end, and of [output]: part,
         compression.
@@ -140,10 +141,10 @@ def _starts(
     """Return the table `initial` of each link, and that of the study."""
     of_links, rest = {}, {}
     for key, value in initial.items():
-        if key == "close" and not isinstance(value, Mapping):
+        if key in OF_MECHANISM and not isinstance(value, Mapping):
             rest[key] = value
             continue
-        require_name("initial", key, (*mechanism.names, "close"))
+        require_name("initial", key, (*mechanism.names, *OF_MECHANISM))
         if not isinstance(value, Mapping):
             raise ArgumentError(
                 f"initial[{key!r}]={brief(value)}; expected a dictionary, such as "

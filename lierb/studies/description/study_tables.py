@@ -152,7 +152,7 @@ def _later_keys(tables: dict[str, Any]) -> Iterator[tuple[dict[str, Any], tuple[
     for section in ("problem", "sample"):
         yield tables[section], ELEMENTS[1:]
     yield tables["problem"], LINKS_AND_LOOPS
-    yield tables["initial"], ("close",)
+    yield tables["initial"], ("close", "hold")
     yield tables["integrate"], ("stabilise", "sensitivities", *NEW_KEYS)
     for key in ("body", "joint"):
         if tables[key] is None:
