@@ -488,15 +488,15 @@ WRONG = {
     "on": ('on = "rocker"', 'on = "rcker"', "Did you mean 'rocker'"),
     "two numbers of one coordinate": (  # no batch of two
         "{coordinates = 0.5}", "{coordinates = [0.5, 0.6]}",
-        "coupler.coordinates has 2 numbers; expected a number, of phi",
+        "problem.links.coupler.initial.coordinates: has 2 numbers; expected a number, of phi",
     ),
     "two rates of one coordinate": (
         "{coordinates = 0.5}", "{coordinates = 0.5, velocities = [0.5, 0.6]}",
-        "coupler.velocities has 2 numbers; expected a number, of phi",
+        "problem.links.coupler.initial.velocities: has 2 numbers; expected a number, of phi",
     ),
     "two starts": (
         "{coordinates = 0.5}", "{coordinates = 0.5, place = [0, 0, 0]}",
-        "coupler: give coordinates, or rotation and place, or pose",
+        "problem.links.coupler.initial: give coordinates, or rotation and place, or pose",
     ),
 }  # fmt: skip
 

@@ -16,7 +16,7 @@ from lierb.errors import ArgumentError, StudyError
 from lierb.studies.description.changes import parsed, written
 from lierb.studies.description.shipped import example as text_of
 from lierb.studies.description.shipped import examples
-from lierb.studies.description.sources import as_file
+from lierb.studies.description.sources import as_file, folder_by
 from lierb.support.collected_warnings import warnings_collected
 from lierb.support.extras import require
 from lierb.support.files import folder_of, naming, write_whole
@@ -178,7 +178,7 @@ def run(
     from lierb.studies.execution.foreseen import foreseen
     from lierb.studies.execution.running import run as run_study
 
-    folder = folder_of(Path("results") / study.stem if out is None else out)
+    folder = folder_of(Path("results") / folder_by(study) if out is None else out)
     _require_one_way(workers, scheduler, gather, report, only)
     if rank_by is not None and not report:
         raise click.UsageError("--rank-by is for --report")

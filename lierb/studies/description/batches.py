@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Collection, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from math import prod
 from typing import Any
@@ -11,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lierb.errors import PoseError, StudyError, TwistError
+from lierb.errors import LierbError, PoseError, StudyError, TwistError
 from lierb.kernels.mechanics.elements import INITIAL
 from lierb.model.mechanism.links import Link, Loop
 from lierb.model.mechanism.mechanism import Mechanism
@@ -160,7 +161,7 @@ def _mechanism(
     with at("problem"):
         mechanism = Mechanism(links, loops, _gravity(study, own), **elements)
     close, hold = study.initial.close or AUTO, study.initial.hold or []
-    with at("initial"):
+    with at("initial"), of_links(mechanism.names):
         try:
             twists, poses = started_mechanism(
                 mechanism, initial, close, hold, count, study.integrate.t0
@@ -173,6 +174,19 @@ def _mechanism(
             )
             raise type(error)(numbered) from None
     return mechanism, twists, poses
+
+
+@contextmanager
+def of_links(names: Collection[str]) -> Iterator[None]:
+    """Convert errors about the start of a link, `crank.coordinates …`, to name its table."""
+    try:
+        yield
+    except LierbError as error:
+        about = re.match(r"(.+?)(?:\.(\w+))?[: ]+(.*)", str(error), re.DOTALL)
+        if about is None or about[1] not in names:
+            raise
+        key = ".".join(filter(None, (f"problem.links.{about[1]}.initial", about[2])))
+        raise StudyError(f"{key}: {about[3]}") from None
 
 
 # ---- shapes ------------------------------------------------------------------------------------

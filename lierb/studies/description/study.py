@@ -34,7 +34,7 @@ from lierb.studies.description.code import Code, named, read_code
 from lierb.studies.description.messages import Given, at, located, messages
 from lierb.studies.description.sections.running import Baumgarte
 from lierb.studies.description.settings import Setting, settings_label
-from lierb.studies.description.sources import LONGEST_STUDY, path_given
+from lierb.studies.description.sources import LONGEST_STUDY, name_of, path_given
 from lierb.studies.description.stopping import Rule, rule_of
 from lierb.studies.description.study_file import (
     ELEMENTS,
@@ -155,7 +155,7 @@ class Study(Represented, StudyTables):
         """
         path = path_given(path)
         text = read(path)
-        tables = {"name": path.stem} | tables_in(text, path.name)
+        tables = {"name": name_of(path)} | tables_in(text, path.name)
         return cls.of(tables, path.name, text, changes, path.parent)
 
     def check(self) -> None:

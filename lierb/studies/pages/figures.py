@@ -48,6 +48,11 @@ CAPTIONS = {
     "number; errors of zero on the lower edge.",
 }
 
+TITLES = {  # of figures that may be left out
+    "time": "errors over time", "order": "errors over the step",
+    "parameters": "figure over sampled numbers",
+}  # fmt: skip
+
 
 def omitted(dataset: Results) -> dict[str, str]:
     """Return the figures that are left out, by name, and the reason."""
@@ -63,7 +68,7 @@ def omitted(dataset: Results) -> dict[str, str]:
 
 def _no_order(study: Study) -> tuple[bool, str]:
     if study.integrate.is_adaptive:
-        return True, "steps are adaptive"
+        return True, "adaptive steps have no one size"
     return len(set(study.integrate.dt)) < 2, "there is one dt"
 
 

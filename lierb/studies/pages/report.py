@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import base64
 import io
+import shlex
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from lierb.analysis.magnitudes import kinds_of
 from lierb.analysis.prediction import Prediction, joint_by_joint, predict
 from lierb.errors import LierbError
 from lierb.results.columns import as_array, unit_of
@@ -25,7 +27,7 @@ from lierb.studies.findings.tables import form_of, named, shares_of, with_interv
 from lierb.studies.pages.replays import chosen, description_of, replayed
 from lierb.studies.storage.parts import Parts
 from lierb.studies.storage.replaying import call_of
-from lierb.studies.storage.results import IS_SUCCESS, Results, setting_columns
+from lierb.studies.storage.results import IS_SUCCESS, STUDY, Results, setting_columns
 from lierb.support.extras import require
 from lierb.support.files import require_page, write_whole
 from lierb.support.representations import apart, rounded
@@ -37,7 +39,7 @@ from matplotlib.figure import Figure  # noqa: E402
 from lierb.results.panels import MOST_KEYS, panels_of  # noqa: E402
 from lierb.results.plots import save  # noqa: E402
 from lierb.studies.pages.explorer import WORST, explorer  # noqa: E402
-from lierb.studies.pages.figures import CAPTIONS, omitted, sheets  # noqa: E402
+from lierb.studies.pages.figures import CAPTIONS, TITLES, omitted, sheets  # noqa: E402
 
 TEMPLATE = "report.html"
 FAILED = 20  # most failed bodies that are listed
@@ -84,7 +86,8 @@ def _values(
     dataset: Results, rank_by: str | None, probabilities: Sequence[float]
 ) -> dict[str, Any]:
     """Return the values of the template."""
-    study, ranked = dataset.study, rankings(dataset, rank_by)
+    study, ranked, folder = dataset.study, rankings(dataset, rank_by), dataset.folder
+    kinds = kinds_of(study.batch(0, 1).problem)
     percents = [percent(p) for p in probabilities]
     options = "" if rank_by is None else f" --rank-by={rank_by}"
     if tuple(probabilities) != PROBABILITIES:
@@ -97,11 +100,16 @@ def _values(
         "body_steps": _steps_done(dataset),
         "predictions": _predictions(study),
         "options": options,
+        "folder": str(folder),
+        "command": shlex.join(["lierb", "run", str(folder / STUDY), "--out", str(folder)]),
+        "code": study.code,
+        "asked": bool(study.problem.observables),
+        "has_rows": bool(kinds),
         "failed": dataset.failures(),
         "failures": _failures(dataset),
         "percents": percents,
         "confidence": f"{CONFIDENCE:.0%}",
-        "labels": findings.LABELS,
+        "labels": {k: label for k, label in findings.LABELS.items() if k in (*kinds, "energy")},
         "errors": findings.findings(dataset),
         "quantities": findings.quantities(dataset, probabilities),
         "events": findings.crossings(dataset, probabilities),
@@ -110,6 +118,7 @@ def _values(
         "left_out": left_out(theory),
         "figures": list(sheets(dataset, rank_by)),
         "captions": CAPTIONS,
+        "titles": TITLES,
         "most_keys": MOST_KEYS,
         "omitted": omitted(dataset),
         "explorer": explorer(dataset, ranked, errors_seen(dataset).values()),
@@ -127,11 +136,11 @@ def _steps_done(dataset: Results) -> int:
 
 
 def _predictions(study: Study) -> list[tuple[str, Prediction]]:
-    """Return predictions for each joint of the first body; [] if no theorem applies."""
+    """Return predictions for each joint with rows of the first body; [] if no theorem applies."""
     try:
         first = study.batch(0, 1).first
         made = predict(first.problem, first.pose0, update=study.integrate.update)
-        return list(joint_by_joint(made))
+        return [(joint, each) for joint, each in joint_by_joint(made) if each.rows]
     except LierbError:
         return []
 
