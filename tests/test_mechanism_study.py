@@ -462,7 +462,7 @@ WRONG = {
     "parent": ('parent = "crank"', 'parent = "crnk"', "Did you mean 'crank'"),
     "key of a link": (
         "initial = {coordinates = 0.5}", "initial = {coordinate = 0.5}",
-        "toml:14: problem.links.1.initial.coordinate: unknown key; did you mean coordinates?",
+        "toml:14: problem.links.coupler.initial.coordinate: unknown key; did you mean coordinates?",
     ),
     "joint": (
         CRANK, CRANK.replace("revolute", "revolut"),
@@ -470,7 +470,7 @@ WRONG = {
     ),
     "second joint": (
         "body_point = [-0.15, 0, 0]", "body_points = [-0.15, 0, 0]",
-        "toml:19: problem.links.1.joint.body_points: unknown key; did you mean body_point?",
+        "toml:19: problem.links.coupler.joint.body_points: unknown key; did you mean body_point?",
     ),
     "second joint's type": (
         '[problem.links.joint]\ntype = "revolute"', '[problem.links.joint]\ntype = "revolut"',
@@ -486,6 +486,11 @@ WRONG = {
         "parent_point = [0.05, 0, 0]", "parent_point = [1.05, 0, 0]", "initial: trajectory 0",
     ),
     "on": ('on = "rocker"', 'on = "rcker"', "Did you mean 'rocker'"),
+    "solid without its radius": (
+        '{solid = "box", size = [0.3, 0.02, 0.02], density = 2700.0}',
+        '{solid = "rod", length = 0.3, density = 2700.0}',
+        "bar.toml:13: problem.links.coupler.body: radius missing; rod needs length, radius",
+    ),
     "two numbers of one coordinate": (  # no batch of two
         "{coordinates = 0.5}", "{coordinates = [0.5, 0.6]}",
         "problem.links.coupler.initial.coordinates: has 2 numbers; expected a number, of phi",

@@ -103,7 +103,7 @@ def _message(error: Any, model: type[BaseModel], tables: dict[str, Any], given: 
     path = tuple(error["loc"])
     while path and not _leads_somewhere(path, tables) and error["type"] != "missing":
         path = path[:-1]  # pydantic adds the names of the alternatives that it tried
-    key = ".".join(map(str, path))
+    key = ".".join(_named(path, tables))
     what = error["msg"][0].lower() + error["msg"][1:]
     for python, toml in WORDS.items():
         what = re.sub(python, toml, what)
@@ -114,6 +114,17 @@ def _message(error: Any, model: type[BaseModel], tables: dict[str, Any], given: 
     elif not isinstance(error["input"], dict):
         what += f", got {shortened(repr(error['input']))}"
     return f"{given.place(path)}: {key}: {what}"
+
+
+def _named(path: tuple[Any, ...], tables: Any) -> Iterator[str]:
+    """Yield the parts of a path; links, loops and elements with a name have it for their number."""
+    for part in path:
+        try:
+            tables = tables[part]
+        except (KeyError, IndexError, TypeError):
+            tables = None
+        name = tables.get("name") if isinstance(part, int) and isinstance(tables, dict) else None
+        yield name if isinstance(name, str) else str(part)
 
 
 def _leads_somewhere(path: tuple[Any, ...], tables: Any) -> bool:
