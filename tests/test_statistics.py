@@ -304,7 +304,7 @@ def test_digest_of_a_study_without_a_rule_is_as_before():
     assert whole["problem"].pop("links") == whole["problem"].pop("loops") == []  # of mechanisms
     assert [force.pop("on") for force in whole["problem"]["forces"]] in ([], [None])
     assert whole["initial"].pop("close") is whole["integrate"].pop("stabilise") is None
-    assert whole["body"].pop("about") is None
+    assert whole["initial"].pop("hold") is whole["body"].pop("about") is None
     assert whole["joint"].pop("parent_point") is whole["joint"].pop("parent_frame") is None
     import hashlib
 

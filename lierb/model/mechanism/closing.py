@@ -31,6 +31,7 @@ from lierb.model.mechanism.row_system import (
     ConnectionState,
     System,
     errors_of,
+    is_fixed,
     name_of,
     one_of,
     reversed_joint,
@@ -40,7 +41,6 @@ from lierb.support.arrays import Array, assembled, components, pose_components, 
 from lierb.support.progress import reporter
 
 if TYPE_CHECKING:
-    from lierb.model.connections import Connection
     from lierb.model.mechanism.kinematics import TreeKinematics
 
 # Damping of Newton's steps, relative to the squared residual. Of 240 starts (four-bars, a
@@ -53,8 +53,6 @@ SEARCH_STEPS = 20
 MISSED = 0.1 * START_TOLERANCE  # largest residual of a projected twist, relative to the speed
 CONTRADICTION = 1e-6  # largest residual of rows with prescribed rates, relative to these
 MOST_NUMBERS = 2**22  # largest number of entries of the matrices that are decomposed at once
-
-
 ASSEMBLIES = "assemblies"  # unit of progress
 
 
@@ -322,13 +320,7 @@ def _projected(part: Part, t0: float) -> list[Array]:
     start = [tuple(twist[:, i] for i in range(6)) for twist in given]
     states = system.states(poses, start, np.float64(t0))
     rows = tuple(r for s in states for r in s.at.rows)
-    prescribed = [r.prescribed_rate(s.x, s.body) for s in states for r in s.at.rows]
-    if driven:
-        moves = [(s, r) for s in system.states(poses, driven) for r in s.at.rows]
-        prescribed = [
-            s.rate(r) if _is_fixed(part.mechanism, s.at) else rate
-            for (s, r), rate in zip(moves, prescribed, strict=True)
-        ]
+    prescribed = _prescribed(system, states, poses, driven)
     if error := unfit_rate(rows, prescribed, t0):
         raise error
     if not rows:
@@ -363,10 +355,18 @@ def _projected(part: Part, t0: float) -> list[Array]:
     return [np.broadcast_to(assembled(twist), (system.count, 6)) for twist in twists]
 
 
-def _is_fixed(mechanism: TreeKinematics, at: Connection) -> bool:
-    """Return whether a connection is the fixed joint between a link and its parent."""
-    is_rigid = at.joint is not None and at.joint.name == "fixed"
-    return is_rigid and not at.elements and at.name == mechanism.names[at.body]
+def _prescribed(
+    system: System, states: list[ConnectionState], poses: list[Pose], driven: list[Vec]
+) -> list[Any]:
+    """Return the prescribed rate of each row; of a fixed joint in the tree by `driven`, if any."""
+    rates = [r.prescribed_rate(s.x, s.body) for s in states for r in s.at.rows]
+    if not driven:
+        return rates
+    moves = [(s, r) for s in system.states(poses, driven) for r in s.at.rows]
+    return [
+        s.rate(r) if is_fixed(system.mechanism, s.at) else rate
+        for (s, r), rate in zip(moves, rates, strict=True)
+    ]
 
 
 def _contradiction(label: str, connection: str) -> TwistError:

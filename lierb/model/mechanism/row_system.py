@@ -237,6 +237,12 @@ def name_of(mechanism: TreeKinematics, at: Connection) -> str:
     return f"the {what} {at.name} ({at.joint.name}, {ends})"
 
 
+def is_fixed(mechanism: TreeKinematics, at: Connection) -> bool:
+    """Return whether a connection is the fixed joint between a link and its parent."""
+    is_rigid = at.joint is not None and at.joint.name == "fixed"
+    return is_rigid and not at.elements and at.name == mechanism.names[at.body]
+
+
 def errors_of(s: ConnectionState) -> tuple[tuple[str, str, Any], tuple[str, str, Any]]:
     """Kind, unit and magnitude of the position error and of the rotation error."""
     rows = s.at.rows
