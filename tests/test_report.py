@@ -101,10 +101,8 @@ def test_page_is_complete(text):
 
 
 def test_page_has_the_call_that_replays_each_listed_trajectory(dataset, text):
-    rows = re.findall(
-        r'<td class="n" data-head="trajectory">(\d+)<td.*<td><code>(dataset.replay\(.*\))</code>',
-        text,
-    )
+    number = r'<td class="n" data-head="trajectory">(\d+)<td'
+    rows = re.findall(rf'{number}.*<td class="of"><code>(dataset.replay\(.*\))</code>', text)
     assert len(rows) == 10  # five by each of the two errors
     assert html.unescape(rows[0][1]) in Page(text).texts["pre"][-3]
     number, call = rows[-1]
