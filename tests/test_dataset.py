@@ -740,3 +740,17 @@ def test_names_of_very_many_settings_sort_as_they_do():
     names = [part.name for part in Parts(small(integrate={"dt": dts, "save_every": None}))]
     assert names == sorted(names)
     assert names[-1].startswith("119-")
+
+
+def test_studies_of_results_are_named_by_their_folders(tmp_path, monkeypatch):
+    """Two studies of the same file name do not meet in one folder."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "top.toml").write_text(small().to_toml())
+    assert invoke("run", "top.toml", "--out", "elsewhere/spun").exit_code == 0
+    again = invoke("run", "elsewhere/spun/study.toml")
+    assert again.exit_code == 0, again.output
+    assert Dataset("results/spun").study.name == "top"
+    assert not (tmp_path / "results" / "study").exists()
+    # In place it is refused, with what to do.
+    refused = invoke("run", "results/spun/study.toml")
+    assert "has results of this study already" in " ".join(refused.stderr.split())

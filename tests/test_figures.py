@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import json
 import warnings
+from itertools import pairwise
 from unicodedata import normalize
 
 import numpy as np
@@ -267,3 +268,28 @@ def test_of_a_study_that_failed_the_first_failure_is_shown(tmp_path):
     animation = replays.replayed(given, picked)
     assert "non_finite" in animation.scene["views"][0]["title"]
     json.dumps(animation.scene, allow_nan=False)  # which a browser would not read
+
+
+@pytest.mark.parametrize("is_log", [True, False])
+@pytest.mark.parametrize(
+    ("low", "high"),
+    [(7.25e-11, 8.75e-11), (0.1912, 0.1916), (1.0, 4.5), (2e-11, 2e-10), (1e-12, 3e-9), (0.1, 9.0),
+     (3e-17, 3.1e-17), (123456.0, 123457.0), (1e-16, 1e-2)],
+)  # fmt: skip
+def test_labels_of_ticks_do_not_overlap(low, high, is_log):
+    """At the width of a phone, on axes of less than a decade too."""
+    values = np.geomspace(low, high, 200)
+    row = panels.Ridge(panels.Key("a", "#000000"), values, np.empty(0))
+    sheet = panels.Sheet("", [lambda axes: panels.ridges(axes, [row], 0.0, is_log=is_log)])
+    (figure,) = panels.panels_of(sheet)
+    figure.draw_without_rendering()
+    (axes,) = figure.axes
+    first, last = axes.get_xlim()
+    shown = [
+        tick.label1.get_window_extent()
+        for tick in axes.xaxis.get_major_ticks()
+        if first <= tick.get_loc() <= last and tick.label1.get_text()
+    ]
+    assert shown
+    for before, after in pairwise(sorted(shown, key=lambda box: box.x0)):
+        assert before.x1 + 2.0 < after.x0

@@ -14,6 +14,7 @@ import lierb
 from lierb.errors import ArgumentError, UnknownNameError
 
 pytest.importorskip("matplotlib")
+from lierb.results.failures import STATUS_NAMES
 from lierb.results.history_plots import MOST_LINES, NO_NUMBER
 from lierb.results.motion_panels import State
 
@@ -90,6 +91,32 @@ def test_many_trajectories_are_drawn_as_quantiles_with_zeros_counted(spun):
     few = spun.plot("position", trajectories=range(MOST_LINES))
     assert len(lines(few.axes[0])) == 3 * MOST_LINES
     np.testing.assert_array_equal(lines(few.axes[0])[1], spun.position[:, 1, 0])
+
+
+def with_failed(result, failed):
+    """The result as if trajectories had failed, with errors of 1e20 before."""
+    summary, history = result.summary, result.history
+    names = [STATUS_NAMES[1 if i in failed else 0] for i in range(summary.num_rows)]
+    index = summary.schema.get_field_index("status")
+    status = pa.array(names).dictionary_encode()
+    summary = summary.set_column(index, "status", status)
+    errors = history["position_error"].to_numpy().copy()
+    errors[np.isin(history["trajectory"].to_numpy(), failed)] = 1e20
+    index = history.schema.get_field_index("position_error")
+    history = history.set_column(index, history.schema.field(index), pa.array(errors))
+    return lierb.Result(summary, history)
+
+
+def test_quantiles_leave_out_trajectories_that_failed(spun):
+    errors = spun.history["position_error"].to_numpy().reshape(-1, 10)[:, :8]
+    figure = with_failed(spun, [8, 9]).plot("position_error")
+    median, most = lines(figure.axes[0])
+    np.testing.assert_allclose(median[1:], np.median(errors, axis=1)[1:])
+    np.testing.assert_allclose(most[1:], errors.max(axis=1)[1:])
+    assert figure.get_supxlabel().startswith("8 trajectories")
+    assert figure.get_supxlabel().endswith("without the 2 that failed")
+    every = with_failed(spun, list(range(10))).plot("position_error")
+    assert every.get_supxlabel().endswith("all failed")
 
 
 def test_what_is_zero_throughout_is_said_to_be(problem):

@@ -16,6 +16,8 @@ from lierb.api import integrate_model
 from lierb.cli import cli
 from lierb.errors import ArgumentError, StudyError, UnknownNameError
 from lierb.results.columns import as_array
+from lierb.studies.dataset import Dataset
+from lierb.studies.description.moved_starts import moved_start
 from lierb.studies.description.study import Study
 from lierb.studies.execution.replaying import replay
 
@@ -186,6 +188,70 @@ def study_tables(study: Study) -> dict:
     return tomllib.loads(study.to_toml())
 
 
+def test_hold_keeps_given_coordinates_and_velocities(tmp_path):
+    """Oracle: the pin seen from both sides, with the crank as given, by sums of the bars."""
+    study = load(tmp_path, ["[sample]", '[initial]\nhold = "crank"\n\n[sample]'])
+    batch = study.batch(0, 20)
+    places = batch.problem.coordinates(batch.pose0)
+    rates = batch.problem.velocities(batch.twist0, batch.pose0)
+    # Coordinates are made of a rotation by arctan2, rates of twists: a few roundings.
+    np.testing.assert_allclose(places["crank"], -1.0, rtol=0, atol=1e-15)
+    drawn = batch.draws["crank.initial.velocities"].reshape(20)
+    np.testing.assert_allclose(rates["crank"][:, 0], drawn, rtol=1e-14)
+
+    def along(length, angle, rate):  # about y, z → x
+        turned = np.stack([np.cos(angle), -np.sin(angle)], -1)
+        across = np.stack([-np.sin(angle), -np.cos(angle)], -1)
+        return length[:, None] * turned, (length * rate)[:, None] * across
+
+    angle, rate = places["crank"][:, 0], rates["crank"][:, 0]
+    crank = along(0.05 - batch.draws["crank.joint.body_point"][:, 0], angle, rate)
+    turned = angle + places["coupler"][:, 0], rate + rates["coupler"][:, 0]
+    coupler = along(np.full(20, 0.3), *turned)
+    rocker = along(0.125 + batch.draws["pin.joint.parent_point"][:, 0],
+                   places["rocker"][:, 0], rates["rocker"][:, 0])  # fmt: skip
+    np.testing.assert_allclose(crank[0] + coupler[0] - rocker[0], [[0.3, 0.0]] * 20, atol=1e-13)
+    np.testing.assert_allclose(crank[1] + coupler[1], rocker[1], rtol=0, atol=1e-13)
+    assert moved_start(study) == ""
+    same = lierb.study_of(four_bar(), DESIGN, initial=INITIAL | {"hold": ["crank"]}, **SETTINGS)
+    np.testing.assert_allclose(
+        same.batch(0, 20).twist0["rocker"], batch.twist0["rocker"], atol=1e-11
+    )
+
+
+def test_moved_starts_are_described(written):
+    batch = written.batch(0, 40)
+    rates = batch.problem.velocities(batch.twist0, batch.pose0)["crank"][:, 0]
+    given = batch.draws["crank.initial.velocities"].reshape(40)
+    body = int(np.abs(rates - given).argmax())
+    line = moved_start(written)
+    assert f"crank.velocities from {given[body]:.3g} to {rates[body]:.3g} rad/s" in line
+    assert "(the largest changes of 40 bodies); hold in [initial] keeps" in line
+
+
+@pytest.mark.parametrize(
+    ("hold", "message"),
+    [
+        ('"krank"', r"^bar.toml:\d+: initial: hold='krank' is unknown; .* Did you mean 'crank'"),
+        ('["crank", "coupler"]', r"initial: trajectory 0 does not come to close .* hold gives the "
+         "coordinates of crank, coupler"),
+        ('"rocker"\nclose = "never"', "initial.hold: is of starts that are closed; leave out"),
+    ],
+)  # fmt: skip
+def test_hold_is_refused_with_the_reason(tmp_path, hold, message):
+    with pytest.raises(StudyError, match=message):
+        load(tmp_path, ["[sample]", f"[initial]\nhold = {hold}\n\n[sample]"])
+
+
+def test_hold_of_a_link_without_numbers_is_refused(tmp_path):
+    edits = (
+        ["initial = {coordinates = -1.6}\n", ""],
+        ["[sample]", '[initial]\nhold = "rocker"\n[sample]'],
+    )
+    with pytest.raises(StudyError, match="rocker has neither coordinates nor velocities to keep"):
+        load(tmp_path, *edits)
+
+
 def test_every_loop_of_a_study_is_closed(written):
     """Oracle: where the two ends of the pin are and how they move, from poses and twists alone."""
     batch = written.batch(0, 20)
@@ -329,6 +395,9 @@ def test_workers_give_the_same_bytes_of_mechanisms(whole, tmp_path):
 
 def test_command_shows_a_study_of_mechanisms(whole):
     shown = CliRunner().invoke(cli, ["show", str(whole)], catch_exceptions=False)
+    assert "Closing the loops moved starts: " in shown.stdout
+    (dataset := Dataset(whole)).read()
+    assert "Closing the loops moved starts: " in str(dataset)
     assert shown.exit_code == 0
     assert "position, m" in shown.output
 
@@ -393,7 +462,7 @@ WRONG = {
     "parent": ('parent = "crank"', 'parent = "crnk"', "Did you mean 'crank'"),
     "key of a link": (
         "initial = {coordinates = 0.5}", "initial = {coordinate = 0.5}",
-        "toml:14: problem.links.1.initial.coordinate: unknown key; did you mean coordinates?",
+        "toml:14: problem.links.coupler.initial.coordinate: unknown key; did you mean coordinates?",
     ),
     "joint": (
         CRANK, CRANK.replace("revolute", "revolut"),
@@ -401,7 +470,7 @@ WRONG = {
     ),
     "second joint": (
         "body_point = [-0.15, 0, 0]", "body_points = [-0.15, 0, 0]",
-        "toml:19: problem.links.1.joint.body_points: unknown key; did you mean body_point?",
+        "toml:19: problem.links.coupler.joint.body_points: unknown key; did you mean body_point?",
     ),
     "second joint's type": (
         '[problem.links.joint]\ntype = "revolute"', '[problem.links.joint]\ntype = "revolut"',
@@ -417,17 +486,22 @@ WRONG = {
         "parent_point = [0.05, 0, 0]", "parent_point = [1.05, 0, 0]", "initial: trajectory 0",
     ),
     "on": ('on = "rocker"', 'on = "rcker"', "Did you mean 'rocker'"),
+    "solid without its radius": (
+        '{solid = "box", size = [0.3, 0.02, 0.02], density = 2700.0}',
+        '{solid = "rod", length = 0.3, density = 2700.0}',
+        "bar.toml:13: problem.links.coupler.body: radius missing; rod needs length, radius",
+    ),
     "two numbers of one coordinate": (  # no batch of two
         "{coordinates = 0.5}", "{coordinates = [0.5, 0.6]}",
-        "coupler.coordinates has 2 numbers; expected a number, of phi",
+        "problem.links.coupler.initial.coordinates: has 2 numbers; expected a number, of phi",
     ),
     "two rates of one coordinate": (
         "{coordinates = 0.5}", "{coordinates = 0.5, velocities = [0.5, 0.6]}",
-        "coupler.velocities has 2 numbers; expected a number, of phi",
+        "problem.links.coupler.initial.velocities: has 2 numbers; expected a number, of phi",
     ),
     "two starts": (
         "{coordinates = 0.5}", "{coordinates = 0.5, place = [0, 0, 0]}",
-        "coupler: give coordinates, or rotation and place, or pose",
+        "problem.links.coupler.initial: give coordinates, or rotation and place, or pose",
     ),
 }  # fmt: skip
 

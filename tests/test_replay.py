@@ -131,3 +131,14 @@ def test_replay_of_adaptive_steps_of_a_mechanism(tmp_path):
     assert replay.twist0["lower"].shape == (6,)
     assert replay.result.t[[0, -1]].tolist() == [0.0, 0.3]
     assert replay.result.history.num_rows == 1001
+
+
+def test_replay_of_a_study_with_one_setting_names_it(tmp_path):
+    given = study(sample={"n": 2}, integrate={"cspace": "SE3", "dt": 1e-3})
+    dataset = lierb.run(given, tmp_path / "out")
+    only = (
+        r"no setting of the study with dt=0\.0001; the only one is cspace='SE3', method='RK4', dt="
+    )
+    with pytest.raises(ArgumentError, match=only):
+        dataset.replay(0, dt=1e-4)
+    assert dataset.replay(0).trajectory == 0

@@ -14,7 +14,13 @@ from rich.console import Console
 from studies import hashes, sorted_rows, tables
 
 import lierb
-from lierb.errors import ArgumentError, StudyError, UnknownNameError
+from lierb.errors import (
+    ArgumentError,
+    FailedTrajectoryWarning,
+    StiffStepWarning,
+    StudyError,
+    UnknownNameError,
+)
 from lierb.studies.dataset import Dataset
 from lierb.studies.description.quantiles import Quantile, quantile_of, share_width
 from lierb.studies.description.settings import Setting
@@ -104,10 +110,33 @@ def test_show_prints_quantiles_with_intervals(whole):
     shown = invoke("show", whole.folder).stdout
     assert first.name in shown
     for quantile in first.quantiles:
-        assert f"{quantile.low:.3g}…{quantile.high:.3g}" in shown
+        low, high = _interval_in(shown, f"{100.0 * quantile.probability:g}%")
+        # Rounded to less than the distance between the numbers.
+        least = min(quantile.value - quantile.low, quantile.high - quantile.value)
+        assert abs(float(low) - quantile.low) <= least
+        assert abs(float(high) - quantile.high) <= least
     (found, _) = findings(whole)
     median, _, largest = found.quantiles["energy"]
     assert f"  {median:.1e}   {largest:.1e}" in shown
+
+
+def _interval_in(shown: str, percentage: str) -> list[str]:
+    """Ends of the first interval of that quantile."""
+    line = next(x for x in shown.splitlines() if f" {percentage} " in x and "…" in x)
+    return line.split()[-1].split("…")
+
+
+def test_tables_tell_different_quantiles_apart():
+    """A stroke with a tolerance of 1e-4 of its length, or of 1e-9, or none."""
+    setting = Setting("SE3", "RK4", 1e-3, None)
+    for tolerance, is_apart in ((1e-4, True), (1e-9, True), (0.0, False), (1e-15, False)):
+        ordered = 0.15 * (1.0 + tolerance * np.linspace(-1.0, 1.0, 1001))
+        row = tuple(quantile_of(ordered, p) for p in (0.05, 0.5, 0.95))
+        console = Console(width=120, file=StringIO())
+        console.print(table_of_quantities([Spread(setting, "stroke_min", "m", 1001, 0, row)]))
+        lines = [line for line in console.file.getvalue().splitlines() if "%" in line]
+        shown = [text for line in lines for text in line.replace("…", " ").split()[-3:]]
+        assert len({*shown[-9:]}) == (9 if is_apart else 1), shown
 
 
 SIGMAS = "0.135,2.275,15.87,50,84.13,97.725,99.99993"  # −3 to 3 standard deviations, and five
@@ -275,7 +304,7 @@ def test_digest_of_a_study_without_a_rule_is_as_before():
     assert whole["problem"].pop("links") == whole["problem"].pop("loops") == []  # of mechanisms
     assert [force.pop("on") for force in whole["problem"]["forces"]] in ([], [None])
     assert whole["initial"].pop("close") is whole["integrate"].pop("stabilise") is None
-    assert whole["body"].pop("about") is None
+    assert whole["initial"].pop("hold") is whole["body"].pop("about") is None
     assert whole["joint"].pop("parent_point") is whole["joint"].pop("parent_frame") is None
     import hashlib
 
@@ -302,6 +331,39 @@ def test_percentiles_over_time_are_those_of_the_history(tmp_path, monkeypatch):
     assert whole.schema.field("p50").metadata[b"unit"] == b"J"
     with pytest.raises(UnknownNameError, match="Did you mean 'energy_drift'"):
         percentiles_over_time(dataset, "energy_drft", setting)
+
+
+def test_percentiles_over_time_leave_out_bodies_that_failed(tmp_path):
+    """Some have drag by which fixed steps overflow, with huge drifts before."""
+    drag = {"distribution": "values", "values": [0.1, 0.2, 0.3, 1e5]}
+    changed = study(n=12, forces={"drag": {"linear": drag}})
+    changed = changed.changed({"integrate.save_every": 1, "integrate.dt": 1e-3})
+    with pytest.warns(FailedTrajectoryWarning), pytest.warns(StiffStepWarning):
+        dataset = lierb.run(changed, tmp_path / "out")
+    history, summary = (
+        dataset.table(name).to_table().to_pandas() for name in ("history", "summary")
+    )
+    fine = summary[summary["status"] == "ok"]["trajectory"]
+    assert 0 < len(fine) == 12 - dataset.failures().count < 12
+    is_ok = history["trajectory"].isin(fine)
+    assert history[~is_ok]["energy_drift"].abs().max() > 1e10
+    found = percentiles_over_time(dataset, "energy_drift", changed.settings[0], (5, 50, 100))
+    for row in found.to_pylist():
+        own = np.sort(history[is_ok & (history["step"] == row["step"])]["energy_drift"])
+        assert row["bodies"] == len(own) == len(fine)
+        assert (row["p5"], row["p100"]) == (own[0], own[-1])
+
+
+def test_fractions_are_no_percentages_and_percentages_no_fractions(whole):
+    """A quantile asked for by the other unit is refused with what to write."""
+    refused = invoke("show", whole.folder, "--quantiles", "0.5,0.95")
+    assert refused.exit_code == 2
+    assert "--quantiles=50,95" in " ".join(refused.output.split())
+    with pytest.raises(ArgumentError, match=r"percentiles=0\.05,1; .* percentiles=5,100"):
+        percentiles_over_time(whole, "energy_drift", whole.study.settings[0], (0.05, 1))
+    with pytest.raises(ArgumentError, match=r"for 50 % give 0\.5$"):
+        quantities(whole, (50,))
+    assert invoke("show", whole.folder, "--quantiles", "0.5,50").exit_code == 0
 
 
 # ---- sensitivity -------------------------------------------------------------------------------

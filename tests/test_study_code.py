@@ -15,13 +15,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import tomli_w
 from command import invoke
+from hypothesis import given
+from hypothesis import strategies as st
 from studies import hashes, sorted_rows
 
 import lierb
 from lierb.errors import ArgumentError, ForceError, StudyError, StudyWarning, UnknownNameError
 from lierb.studies.dataset import Dataset
 from lierb.studies.description.study import Study
+from lierb.studies.description.toml import toml_of
 from lierb.studies.execution import cluster
 from lierb.studies.execution.replaying import replay
 from lierb.studies.findings.findings import findings
@@ -415,6 +419,12 @@ def test_problem_and_design_run_to_the_bytes_of_the_file(whole, folder, tmp_path
     assert [row["sample.forces.controller.damping"] for row in rows] == draws.tolist()
     lierb.run(problem, design, tmp_path / "out", resume=True, **SETTINGS)
     assert hashes(tmp_path / "out") == found
+    # Named by its folder, and of its function what differs from the defaults.
+    text = (tmp_path / "out" / "study.toml").read_text()
+    assert dataset.study.name == tomllib.loads(text)["name"] == "out"
+    assert "study 'out'" in str(dataset)
+    (force,) = tomllib.loads(text)["problem"]["forces"]
+    assert force == {"type": "python:attitude.py:controller", "most": 0.1}
 
 
 def test_study_of_a_problem_makes_the_same_problem():
@@ -452,7 +462,9 @@ def test_study_of_leaves_out_numbers_that_are_defaults():
         lierb.forces.motor(torque=0.0),
         lierb.forces.constant_wrench((0.0, 0.0, 1.0), frame="ground"),
     ]
-    given = lierb.Problem(lierb.Body(1.0, (1.0, 1.0, 1.0)), lierb.joints.revolute(), forces=acting)
+    problem = lierb.Problem(
+        lierb.Body(1.0, (1.0, 1.0, 1.0)), lierb.joints.revolute(), forces=acting
+    )
     values = lierb.sampling.Values
     quantities = {
         "forces.torsional_spring.damping": values([1.0, 2.0]),
@@ -460,7 +472,7 @@ def test_study_of_leaves_out_numbers_that_are_defaults():
         "joint.ground_point": values([[0.1, 0.0, 0.0]] * 2),
     }
     design = lierb.sampling.Design(quantities, n=2)
-    study = lierb.study_of(given, design, dt=1e-3, t_end=0.1, cspace=["SE3"])
+    study = lierb.study_of(problem, design, dt=1e-3, t_end=0.1, cspace=["SE3"])
     tables = tomllib.loads(study.to_toml())
     assert tables["body"].keys() == {"mass", "inertia"}
     assert tables["joint"] == {"type": "revolute"}
@@ -478,10 +490,10 @@ def test_study_of_leaves_out_numbers_that_are_defaults():
     np.testing.assert_array_equal(made.body.com[0], [0.0, 0.0, 0.1])
     np.testing.assert_array_equal(made.joint.ground_frame[:, :3, 3], [[0.1, 0.0, 0.0]] * 2)
     np.testing.assert_array_equal(made.joint.ground_frame[0, :3, :3], np.eye(3))
-    turned = lierb.Problem(given.body, lierb.joints.revolute(axis=(1.0, 0.0, 0.0)))
+    turned = lierb.Problem(problem.body, lierb.joints.revolute(axis=(1.0, 0.0, 0.0)))
     joint = lierb.study_of(turned, design=lierb.sampling.Design({"body.mass": 1.0}, n=1),
                            dt=1e-3, t_end=0.1).joint  # fmt: skip
-    assert (joint.body_frame is None, joint.ground_frame is None) == (False, True)
+    assert joint.given() == {"type": "revolute", "axis": [1.0, 0.0, 0.0]}
 
 
 @pytest.mark.parametrize(
@@ -563,3 +575,48 @@ def test_functions_of_a_study_are_named_in_errors(folder):
     (folder / "attitude.py").write_text(CODE.replace("np.zeros(3)", "np.random.normal(3)"))
     with pytest.raises((StudyError, ForceError), match=r"line 13, .*it draws random numbers"):
         Study.load(folder / "study.toml")
+
+
+def test_a_file_made_in_python_is_short(tmp_path):
+    """Moments, points and axes in place of matrices; arrays on lines of at most 80 columns."""
+    pin = lierb.joints.revolute((0.1, 0.0, 0.0), (0.2, 0.0, 0.3), axis=(0.0, 1.0, 0.0))
+    body = lierb.Body(3.0, (40.0, 45.0, 60.0))
+    machine = lierb.Mechanism(lierb.Link("a", body, pin))
+    masses = lierb.sampling.Design({"a.body.mass": lierb.sampling.Uniform(2.9, 3.1)}, n=3)
+    times = np.linspace(0.0, 100.0, 26)
+    study = lierb.study_of(machine, masses, rtol=1e-6, save_at=times, t_end=100.0)
+    text = study.to_toml()
+    assert "inertia = [40.0, 45.0, 60.0]\n" in text
+    assert "body_point = [0.1, 0.0, 0.0]\n" in text
+    assert "axis = [0.0, 1.0, 0.0]\n" in text
+    for word in ("body_frame", "ground_frame", "cspace", "method", 'name = "study"'):
+        assert word not in text
+    assert max(map(len, text.splitlines())) <= 80
+    assert len(text.splitlines()) < 32
+    assert Study.of(tomllib.loads(text)) == study
+    made = study.batch(0, 3).problem
+    for name, array in machine.quantities.items():
+        if not name.endswith("mass"):
+            np.testing.assert_array_equal(made.quantities[name], array, err_msg=name)
+    other = lierb.study_of(machine, masses, dt=1e-3, cspace="SE3", method="Heun", t_end=1.0)
+    assert 'cspace = ["SE3"]' in other.to_toml()
+    assert 'method = ["Heun"]' in other.to_toml()
+    assert Study.of(tomllib.loads(other.to_toml())) == other
+
+
+@given(
+    st.recursive(
+        st.floats(allow_nan=False, allow_infinity=False)
+        | st.integers(-9, 9)
+        | st.text(max_size=20),
+        lambda inner: (
+            st.lists(inner, max_size=30)
+            | st.dictionaries(st.text(min_size=1, max_size=8), inner, max_size=4)
+        ),
+        max_leaves=40,
+    )
+)
+def test_toml_of_any_tables_is_read_back(value):
+    tables = {"a": {"b": value}, "c": [{"d": value}, {"e": [value]}]}
+    text = toml_of(tables)
+    assert tomllib.loads(text) == tomllib.loads(tomli_w.dumps(tables))

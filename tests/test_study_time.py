@@ -217,6 +217,37 @@ def test_replay_has_the_studys_row_and_events(whole):
 
 
 @pytest.mark.slow
+def test_options_of_a_replay_repeat_its_run(whole, tmp_path):
+    """With its noise, first time, breaks and rows: the study's numbers, by `lierb.integrate`."""
+    more = {"sample.n": 6, "integrate.t0": 1.0, "integrate.discontinuities": [2.3]}
+    dataset = lierb.run(loaded(tmp_path, more), tmp_path / "out")
+    kept = dataset.replay(5)
+    again = lierb.integrate(kept.problem, **kept.options)
+    assert again.history.equals(kept.result.history)
+    assert again.events.equals(kept.result.events)
+    stored = table(tmp_path / "out").to_pylist()[5]
+    assert {name: again.summary[name][0].as_py() for name in ("omega", "torque", "t")} == {
+        name: stored[name] for name in ("omega", "torque", "t")
+    }
+    assert (kept.trajectory, kept.seed) == (5, dataset.study.sample.seed)
+    assert {"seed", "trajectories", "discontinuities", "t0"} <= kept.start.keys()
+    # Without the trajectory's number the noise is another one.
+    other = lierb.integrate(kept.problem, **kept.options | {"trajectories": [0]})
+    assert other.summary["omega"] != again.summary["omega"]
+    assert len(repr(kept).splitlines()) < 8
+
+
+@pytest.mark.slow
+def test_start_of_a_batch_repeats_its_bodies(whole):
+    """Bodies of a study are integrated with the study's noise, without its folder."""
+    made = Study.load(whole / "study.toml")
+    batch, (setting,) = made.batch(8, 3), made.settings
+    alone = lierb.integrate(batch.problem, **batch.start, **made.keywords(setting))
+    stored = [row for row in table(whole).to_pylist() if row["trajectory"] in (8, 9, 10)]
+    assert as_array(alone.summary["omega"]).tolist() == [row["omega"] for row in stored]
+
+
+@pytest.mark.slow
 def test_only_prints_the_events(whole, tmp_path):
     number = int(numbers(whole, "trajectory", "events")[0])
     printed = invoke("run", whole / "study.toml", "--out", tmp_path, "--only", number).output

@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from lierb.cli.terminal import INTERRUPTED, print_whole, wrapped
-from lierb.errors import StudyError
+from lierb.errors import ArgumentError, StudyError
 from lierb.studies.description.changes import parsed, written
 from lierb.studies.description.shipped import example as text_of
 from lierb.studies.description.shipped import examples
-from lierb.studies.description.sources import as_file
+from lierb.studies.description.sources import as_file, folder_by
 from lierb.support.collected_warnings import warnings_collected
 from lierb.support.extras import require
 from lierb.support.files import folder_of, naming, write_whole
@@ -83,6 +83,8 @@ SET = click.option(
 
 def _probabilities(_ctx: click.Context, _param: click.Parameter, given: str) -> tuple[float, ...]:
     """Parse the option --quantiles: percentages, as probabilities."""
+    from lierb.studies.description.quantiles import fractions
+
     try:
         percents = [float(each) for each in given.split(",")]
     except ValueError:
@@ -91,7 +93,10 @@ def _probabilities(_ctx: click.Context, _param: click.Parameter, given: str) -> 
         raise click.BadParameter(
             f"{given}; expected percentages above 0 and below 100, as 50,95,99.73"
         )
-    return tuple(sorted({each / 100.0 for each in percents}))
+    try:
+        return fractions("--quantiles", sorted({*percents}))
+    except ArgumentError as error:
+        raise click.BadParameter(str(error)) from None
 
 
 QUANTILES = click.option(
@@ -173,7 +178,7 @@ def run(
     from lierb.studies.execution.foreseen import foreseen
     from lierb.studies.execution.running import run as run_study
 
-    folder = folder_of(Path("results") / study.stem if out is None else out)
+    folder = folder_of(Path("results") / folder_by(study) if out is None else out)
     _require_one_way(workers, scheduler, gather, report, only)
     if rank_by is not None and not report:
         raise click.UsageError("--rank-by is for --report")
@@ -304,8 +309,8 @@ def predict(study: Path, changes: Changes) -> None:
     from lierb.studies.description.study import Study
 
     loaded = Study.load(study, changes)
-    problem, pose0, _ = loaded.batch(0, 1).first
-    prediction = predict_joints(problem, pose0, update=loaded.integrate.update)
+    first = loaded.batch(0, 1).first
+    prediction = predict_joints(first.problem, first.pose0, update=loaded.integrate.update)
     click.echo(str(prediction))
     for joint, each in joint_by_joint(prediction):
         click.echo(wrapped(f"{', '.join(filter(None, (joint, each.cspace)))}: {each.reason}"))
@@ -365,6 +370,8 @@ def _show(dataset: Dataset, probabilities: tuple[float, ...]) -> None:
         print_whole(table)
     for line in (*linear_theory.left_out(theory), *(t.warning for t in theory if t.warning)):
         click.secho(wrapped(line), fg="yellow")
+    if moved := dataset.manifest.get("moved"):
+        click.secho(wrapped(f"{moved}."), fg="yellow")
     done, total = len(dataset.parts), dataset.manifest["asked"]
     state = dataset.rest(f"the rest with: {_again(dataset, '--resume')}")
     click.echo(f"{dataset.folder}: {done} of {total} parts{state}")

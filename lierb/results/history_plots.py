@@ -14,11 +14,13 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
+from numpy.typing import NDArray
 
 from lierb.errors import ArgumentError, items_of, require_name
 from lierb.model.mechanism.mechanism import Mechanism
 from lierb.model.problem import Problem
 from lierb.results.columns import as_array, unit_of
+from lierb.results.failures import has_failed
 from lierb.results.motion_panels import SUBSCRIPTS, Coordinates, Panel, Series, State, Trace
 from lierb.results.states import RunStates, chosen_trajectories
 from lierb.support.arrays import Array
@@ -64,12 +66,13 @@ def history_figure(
         )
     count = result.summary.num_rows
     chosen = chosen_trajectories(trajectories, count, count)
+    failed = has_failed(result.summary)
     names = (columns,) if isinstance(columns, str) else items_of("columns", columns, "names")
     made = _panels(result, problem)
     shown = _chosen(made, names)
     t = as_array(result.history["t"]).reshape(-1, count)[:, 0]
     with matplotlib.rc_context(STYLE):
-        return _drawn([make() for make in shown], t, chosen)
+        return _drawn([make() for make in shown], t, chosen, failed)
 
 
 def _chosen(
@@ -161,33 +164,42 @@ def _of_column(history: pa.Table, column: pa.Field, count: int) -> dict[str, Cal
 # ---- looks -------------------------------------------------------------------------------------
 
 
-def _drawn(made: Sequence[Panel | Trace | None], t: Array, chosen: list[int]) -> Figure:
+def _drawn(
+    made: Sequence[Panel | Trace | None], t: Array, chosen: list[int], failed: NDArray[np.bool_]
+) -> Figure:
+    """Draw the panels; quantiles are of the trajectories that have not failed, if there are any."""
     panels = [panel for panel in made if panel is not None]
     across = min(ACROSS, len(panels)) or 1
     down = -(-len(panels) // across) or 1
     figure = ShownFigure(figsize=(4.2 * across, 2.7 * down + 0.5), layout="constrained")
     axes = list(figure.subplots(down, across, squeeze=False).ravel())
-    one_by_one = len(chosen) <= MOST_LINES
+    one_by_one, asked = len(chosen) <= MOST_LINES, len(chosen)
+    if not one_by_one:
+        chosen = [i for i in chosen if not failed[i]] or chosen
     for panel, each in zip(axes, panels):
         if isinstance(each, Trace):
             _draw_trace(panel, each, chosen)
         else:
-            _draw_panel(panel, each, t, chosen)
+            _draw_panel(panel, each, t, chosen, not one_by_one)
     for panel in axes[len(panels) :]:
         panel.set_visible(False)
     if one_by_one and len(chosen) > 1:
         lines = [Line2D([], [], color=COLOURS[n]) for n in range(len(chosen))]
-        labels = [f"trajectory {number}" for number in chosen]
+        labels = [f"trajectory {i}{', failed' * bool(failed[i])}" for i in chosen]
         figure.legend(lines, labels, loc="outside lower left", ncols=6)
     elif not one_by_one:
         text = f"{len(chosen)} trajectories: median, 5 to 95 % shaded; errors: thin, the largest"
+        if failed[chosen].any():
+            text += "; all failed"
+        elif len(chosen) < asked:
+            text += f"; without the {asked - len(chosen)} that failed"
         figure.supxlabel(text, x=0.01, ha="left", fontsize=9, color="#555555")
     return figure
 
 
-def _draw_panel(axes: Axes, panel: Panel, t: Array, chosen: list[int]) -> None:
+def _draw_panel(axes: Axes, panel: Panel, t: Array, chosen: list[int], many: bool) -> None:
     """Draw a line for each trajectory and component, or quantiles of many trajectories."""
-    alone, many = len(chosen) == 1, len(chosen) > MOST_LINES
+    alone = len(chosen) == 1
     drawn = [np.abs(s.values[:, chosen]) if panel.is_error else s.values[:, chosen]
              for s in panel.series]  # fmt: skip
     if not any(np.nanmax(np.abs(values), initial=0.0) > 0.0 for values in drawn):

@@ -22,7 +22,14 @@ import matplotlib  # noqa: E402
 from matplotlib.axes import Axes  # noqa: E402
 from matplotlib.figure import Figure  # noqa: E402
 from matplotlib.lines import Line2D  # noqa: E402
-from matplotlib.ticker import LogFormatterSciNotation, LogLocator, NullFormatter, NullLocator  # noqa: E402
+from matplotlib.ticker import (  # noqa: E402
+    LogFormatterSciNotation,
+    LogLocator,
+    MaxNLocator,
+    NullFormatter,
+    NullLocator,
+    ScalarFormatter,
+)
 
 from lierb.results.colours import CSPACE_NAMES  # noqa: E402
 from lierb.results.plots import MATH_NAMES, MOST, STYLE, ShownFigure  # noqa: E402
@@ -139,15 +146,11 @@ def log_axes(panel: Axes, axes: str, zeros: Sequence[str] = (), why: str = NO_BO
         panel.set(**{f"{axis}scale": "log"})
         few_ticks(panel, axis)
     if notes:
-        panel.annotate(
-            "\n".join(notes), (0.99, 0.02), xycoords="axes fraction", ha="right", va="bottom",
-            fontsize=8, color=GREY,
-            bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 1.0},
-        )  # fmt: skip
+        panel.set_title("\n".join(notes), loc="right", fontsize=8, color=GREY)
 
 
 def few_ticks(panel: Axes, axis: str) -> None:
-    """Set ticks at whole decades, few enough for their labels."""
+    """Set ticks of a logarithmic axis, at whole decades if it has some, few enough for labels."""
     low, high = sorted(panel.get_xlim() if axis == "x" else panel.get_ylim())
     decades = np.log10(high / low) if low > 0.0 else 0.0
     own = getattr(panel, f"{axis}axis")
@@ -156,12 +159,15 @@ def few_ticks(panel: Axes, axis: str) -> None:
         own.set_major_locator(LogLocator(numticks=6 if axis == "x" else 8))
         if decades > 4:
             own.set_minor_locator(NullLocator())
-    else:
-        digits = (1.0, 2.0, 5.0) if decades > 0.6 else (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 7.0)
-        own.set_major_locator(LogLocator(subs=digits, numticks=12))
+    elif decades > 0.7:
+        own.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0), numticks=12))
         own.set_major_formatter(
             LogFormatterSciNotation(labelOnlyBase=False, minor_thresholds=(9, 9))
         )
+    else:  # the power of ten is written once, beside the axis
+        own.set_minor_locator(NullLocator())
+        own.set_major_locator(MaxNLocator(nbins=4))
+        own.set_major_formatter(ScalarFormatter(useMathText=True))
 
 
 def has_data(panel: Axes) -> bool:
@@ -239,7 +245,9 @@ def ridges(panel: Axes, rows: Sequence[Ridge], least: float, *, is_log: bool) ->
     if every.size and is_log:
         panel.set_xscale("log")
         few_ticks(panel, "x")
-    elif not every.size:
+    elif every.size:
+        panel.locator_params(axis="x", nbins=4)
+    else:
         panel.set_xticks([])
 
 

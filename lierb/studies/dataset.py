@@ -29,6 +29,7 @@ from typing import TYPE_CHECKING, Any, Self
 from lierb.model.mechanism.mechanism import Mechanism
 from lierb.model.problem import Problem
 from lierb.results.result import Result
+from lierb.studies.description.differentiated import parameters_of
 from lierb.studies.description.sections.running import IntegrateSection
 from lierb.studies.description.settings import Setting, settings_label
 from lierb.studies.description.study_tables import tables_of_study
@@ -36,18 +37,22 @@ from lierb.studies.storage.parts import Part
 from lierb.studies.storage.replaying import only_setting, require_trajectory, with_history
 from lierb.studies.storage.results import Results
 from lierb.support.extras import require
-from lierb.support.representations import FAILED, Lines
+from lierb.support.representations import FAILED, Lines, Represented
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+START = ("pose0", "twist0", "t0", "discontinuities", "seed", "trajectories")
 
-@dataclass(frozen=True)
-class Replay:
+
+@dataclass(frozen=True, repr=False)
+class Replay(Represented):
     """Trajectory of a study that was integrated again, as `Dataset.replay` returns it.
 
-    `lierb.integrate(replay.problem, pose0=replay.pose0, twist0=replay.twist0, …)` starts the same
-    body with other options.
+    `lierb.integrate(replay.problem, **replay.options)` repeats the run, bit for bit and with its
+    noise; `lierb.integrate(replay.problem, **replay.options | {"rtol": 1e-9})` runs it with other
+    options. `replay.start` has the start, t0, times of jumps, and seed and number of the noise, for
+    another method: `lierb.integrate(replay.problem, **replay.start, method=…, dt=…, t_end=…)`.
 
     Attributes
     ----------
@@ -61,6 +66,13 @@ class Replay:
         Result of one trajectory, with its whole history: state, energy, multipliers, reactions.
     setting : Setting
         `cspace`, `method`, and `dt` or `rtol`.
+    trajectory : int
+        Number of the trajectory in the study.
+    seed : int
+        Seed of the study.
+    options : dict
+        Keywords of `lierb.integrate` that give `result`: the start, the seed and number of the
+        trajectory if there is noise, and all options of the study that are set.
     """
 
     problem: Problem | Mechanism
@@ -68,6 +80,24 @@ class Replay:
     twist0: Any
     result: Result
     setting: Setting
+    trajectory: int
+    seed: int
+    options: dict[str, Any]
+
+    @property
+    def start(self) -> dict[str, Any]:
+        """Return the options that do not depend on the method and its steps."""
+        return {key: value for key, value in self.options.items() if key in START}
+
+    def _representation(self) -> tuple[str, Lines]:
+        title = (
+            f"lierb.studies.dataset.Replay of trajectory {self.trajectory}, {self.setting.label}"
+        )
+        return title, [
+            ("problem", repr(self.problem).partition("\n")[0]),
+            ("options", ", ".join(self.options)),
+            ("result", repr(self.result).partition("\n")[0]),
+        ]
 
 
 class Dataset(Results):
@@ -187,6 +217,9 @@ class Dataset(Results):
         ...     replay = dataset.replay(17)
         >>> replay.result.omega.shape, replay.twist0.shape
         ((11, 1, 3), (6,))
+        >>> again = lierb.integrate(replay.problem, **replay.options)
+        >>> again.summary.equals(replay.result.summary)
+        True
         """
         study = self.study
         number = require_trajectory(study, trajectory)
@@ -194,7 +227,14 @@ class Dataset(Results):
         setting = only_setting(study, given)
         recorded = with_history(study, save_every)
         batch, result = Part("", setting, number, 1).run(recorded, study.design, threads)
-        return Replay(*batch.first, result, setting)
+        first = batch.first
+        options = first.start | recorded.keywords(setting)
+        if wanted := parameters_of(study, first.problem):
+            options["with_respect_to"] = [p.name for p in wanted.values()]
+        options = {key: value for key, value in options.items() if value is not None}
+        return Replay(
+            first.problem, first.pose0, first.twist0, result, setting, number, first.seed, options
+        )
 
     def _representation(self) -> tuple[str, Lines]:
         if not self.manifest:
@@ -207,6 +247,8 @@ class Dataset(Results):
         ]
         if failed := sum(sum(entry.get("failed", {}).values()) for _, entry in self._summaries()):
             lines.append((FAILED, f"{failed} of {self.trajectories}; failures() says more"))
+        if moved := self.manifest.get("moved"):
+            lines.append(("start", moved))
         tables = tables_of_study(study)
         lines.append(("tables", ", ".join(f'.table("{name}")' for name in tables)))
         return f"lierb.Dataset of {self.folder}: study {study['name']!r}", lines

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import html
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -12,6 +12,7 @@ from lierb.support.arrays import Array
 
 Lines = Sequence[tuple[str, str]]  # (label, text)
 
+DIGITS = (3, 12)  # fewest and most significant digits of numbers in tables
 FAILED = "failed"  # label of a highlighted row
 CELL = "text-align: left; vertical-align: top; white-space: pre-wrap"
 LOUD = "color: #b00020; font-weight: bold"
@@ -76,6 +77,25 @@ def rounded(error: float) -> str:
     if np.isnan(error):
         return "–"
     return f"{error:.1e}" if error else "0"
+
+
+def digits_apart(number: float, others: Iterable[float]) -> int:
+    """Return how many significant digits tell a number from others, within DIGITS.
+
+    Numbers that are equal, NaN or infinite need none.
+    """
+    finite = [x for x in others if np.isfinite(x) and x != number]
+    if not (finite and np.isfinite(number)):
+        return DIGITS[0]
+    gap = min(abs(number - x) for x in finite)
+    size = max(abs(number), *(abs(x) for x in finite if abs(number - x) == gap))
+    return int(np.clip(np.floor(np.log10(size)) - np.floor(np.log10(gap)) + 1, *DIGITS))
+
+
+def apart(numbers: Sequence[float]) -> list[str]:
+    """Format the numbers of a column with digits that tell different ones apart."""
+    digits = max((digits_apart(x, numbers) for x in numbers), default=DIGITS[0])
+    return [f"{x:.{digits}g}" for x in numbers]
 
 
 def quantity(array: Array, unit: str = "", item_axes: int = 0) -> str:

@@ -21,6 +21,18 @@ def rod(name, length, parent, parent_point):
     return lierb.Link(name, body, joint, parent)
 
 
+def arm_with_a_tie():
+    """A carriage with an arm on a ball joint, whose end a tie keeps at a distance from a stay."""
+    box = lierb.bodies.box((0.1, 0.1, 0.1), mass=1.0)
+    links = [
+        lierb.Link("carriage", box, lierb.joints.prismatic()),
+        lierb.Link("ball", box, lierb.joints.spherical(body_point=(-0.2, 0, 0)), "carriage"),
+        lierb.Link("stay", box, lierb.joints.spherical(ground_point=(0.5, 0.0, 0.4))),
+    ]
+    tie = lierb.joints.point_on_sphere(body_point=(0.1, 0, 0), parent_point=(0.1, 0, 0), length=0.4)
+    return lierb.Mechanism(links, lierb.Loop("tie", tie, "stay", "ball"))
+
+
 def end_of(length):
     return (length / 2, 0.0, 0.0)
 
@@ -110,14 +122,7 @@ def test_a_wheel_follows_one_that_is_held_by_their_gear():
 
 
 def test_joints_with_several_coordinates_and_slides_are_held():
-    box = lierb.bodies.box((0.1, 0.1, 0.1), mass=1.0)
-    links = [
-        lierb.Link("carriage", box, lierb.joints.prismatic()),
-        lierb.Link("ball", box, lierb.joints.spherical(body_point=(-0.2, 0, 0)), "carriage"),
-        lierb.Link("stay", box, lierb.joints.spherical(ground_point=(0.5, 0.0, 0.4))),
-    ]
-    tie = lierb.joints.point_on_sphere(body_point=(0.1, 0, 0), parent_point=(0.1, 0, 0), length=0.4)
-    arm = lierb.Mechanism(links, lierb.Loop("tie", tie, "stay", "ball"))
+    arm = arm_with_a_tie()
     hold = {"carriage": 0.1, "ball": (0.1, 0.2, -0.3)}
     closed = arm.close(arm.pose(), hold=hold)
     found = arm.coordinates(closed)
@@ -178,6 +183,76 @@ def test_whole_turns_count_beside_a_gear_and_on_a_screw(counted):
     nut = lierb.Mechanism(lierb.Link("nut", wheel, lierb.joints.screw(pitch=0.01)))
     raised = nut.close(nut.pose(), hold={"nut": 2.0 * np.pi})["nut"]
     assert raised[2, 3] == pytest.approx(0.02 * np.pi, rel=1e-12)
+
+
+# ---- rates -------------------------------------------------------------------------------------
+
+
+def test_project_holds_the_rate_of_a_crank():
+    """Pin of the rocker: 20 times its derivative by the crank's angle, by the cosine law."""
+    bars = four_bar()
+    rough = bars.pose({"crank": 0.5, "coupler": 0.4, "rocker": 1.9})
+    angles = np.array([-1.0, 0.3, 2.0])
+    pose = bars.close(rough, hold={"crank": angles})
+    given = bars.twist({"crank": 20.0}, pose)
+    assert np.all(np.abs(bars.velocities(bars.project(given, pose), pose)["crank"] - 20.0) > 0.1)
+    rates = np.full(3, 20.0)
+    for hold in ({"crank": 20.0}, {"crank": rates}, "crank", ["crank"]):
+        twist = bars.project(given, pose, hold=hold)
+        got = bars.velocities(twist, pose)
+        np.testing.assert_allclose(got["crank"][:, 0], 20.0, rtol=1e-14)
+        for i, angle in enumerate(angles):
+            step = 1e-5  # the difference is good to 1e-10 of the slope
+            slope = (pin_of(angle + step, 1) - pin_of(angle - step, 1)) / (2.0 * step)
+            arm = found_pin(pose)[i] - np.array((GROUND, 0.0))
+            moved = got["rocker"][i, 0] * np.array((-arm[1], arm[0]))
+            np.testing.assert_allclose(moved, 20.0 * slope, rtol=0, atol=1e-7)
+    assert bars.violation(pose, twist) is None
+
+
+def test_project_holds_slides_and_rotation_vectors():
+    arm = arm_with_a_tie()
+    pose = arm.close(arm.pose(), hold={"carriage": 0.1, "ball": (0.1, 0.2, -0.3)})
+    hold = {"carriage": 0.7, "ball": (1.0, -2.0, 0.5)}
+    twist = arm.project(arm.twist({"stay": (1.0, 1.0, 1.0)}, pose), pose, hold=hold)
+    got = arm.velocities(twist, pose)
+    for name, rates in hold.items():
+        np.testing.assert_allclose(got[name], np.atleast_1d(rates), rtol=1e-13)
+    # The ends of the tie do not come nearer: differences of the poses after a short time.
+    step, ends = 1e-6, []
+    for sign in (-1.0, 1.0):
+        moved = {n: pose[n] @ lierb.lie.se3.exp(sign * step * twist[n]) for n in arm.names}
+        ends.append((moved["stay"][:3] - moved["ball"][:3]) @ [0.1, 0.0, 0.0, 1.0])
+    first, last = map(np.linalg.norm, ends)
+    assert abs(last - first) / (2.0 * step) < 1e-8
+    assert arm.violation(pose, twist) is None
+
+
+def test_rates_that_no_motion_has_are_refused_with_the_reason():
+    bars = four_bar()
+    rough = bars.pose({"crank": 0.5, "coupler": 0.4, "rocker": 1.9})
+    pose = bars.close(rough, hold={"crank": [0.3, 0.5]})
+    rest = bars.twist({}, pose)
+    with pytest.raises(lierb.errors.TwistError, match=r"^twist\[0\]: .*hold gives the rates of"):
+        bars.project(rest, pose, hold={"crank": 20.0, "rocker": 5.0})
+    driven = four_bar(lierb.forces.motor(speed=3.0).on("crank"))
+    with pytest.raises(lierb.errors.TwistError, match=r"contradict each other.*of crank"):
+        driven.project(rest, pose, hold={"crank": 20.0})
+    with pytest.raises(lierb.errors.UnknownNameError, match="Did you mean 'crank'"):
+        bars.project(rest, pose, hold="krank")
+    # At the dead point of the rocker crank and coupler are in line: the rocker cannot turn.
+    reach = (GROUND**2 + (CRANK + COUPLER) ** 2 - ROCKER**2) / (2.0 * GROUND * (CRANK + COUPLER))
+    dead = bars.close(rough, hold={"crank": np.arccos(reach)})
+    with pytest.raises(lierb.errors.TwistError, match="hold"):
+        bars.project(bars.twist({}, dead), dead, hold={"rocker": 1.0})
+
+
+def test_close_keeps_the_coordinates_of_named_joints():
+    bars = four_bar()
+    rough = bars.pose({"crank": 0.5, "coupler": 0.4, "rocker": 1.9})
+    closed = bars.close(rough, hold="crank")
+    np.testing.assert_allclose(bars.coordinates(closed)["crank"], [0.5], atol=1e-14)
+    np.testing.assert_allclose(found_pin(closed), pin_of(0.5, 1), atol=1e-12)
 
 
 # ---- all branches ------------------------------------------------------------------------------

@@ -32,13 +32,14 @@ from lierb.model.mechanism.row_system import (
     System,
     ends_of,
     errors_of,
+    is_fixed,
     name_of,
     one_of,
     reversed_joint,
     wrong_way,
 )
 from lierb.model.unfit import unfit_constraint, unfit_place, unfit_rate
-from lierb.support.arrays import Array, assembled, pose_components, pose_matrix
+from lierb.support.arrays import Array, assembled, components, pose_components, pose_matrix
 from lierb.support.progress import reporter
 
 # Damping of Newton's steps, relative to the squared residual. Of 240 starts (four-bars, a
@@ -51,8 +52,6 @@ SEARCH_STEPS = 20
 MISSED = 0.1 * START_TOLERANCE  # largest residual of a projected twist, relative to the speed
 CONTRADICTION = 1e-6  # largest residual of rows with prescribed rates, relative to these
 MOST_NUMBERS = 2**22  # largest number of entries of the matrices that are decomposed at once
-
-
 ASSEMBLIES = "assemblies"  # unit of progress
 
 
@@ -315,21 +314,31 @@ def _no_convergence(
 
 
 def projected(
-    mechanism: TreeKinematics, twists: list[Array], poses: list[Array], t0: float
+    mechanism: TreeKinematics,
+    twists: list[Array],
+    poses: list[Array],
+    t0: float,
+    driven: list[Array] | None = None,
 ) -> list[Array]:
-    """Return the nearest twists that satisfy all joints and loops."""
-    parts = _parts(mechanism, [("twist", twists, 1), ("pose", poses, 2)])
+    """Return the nearest twists that satisfy all joints and loops.
+
+    driven : twists of all links, by which fixed joints in the tree move; they are at rest if None.
+    """
+    arguments = [("twist", twists, 1), ("pose", poses, 2)]
+    arguments += [("hold", driven, 1)] if driven else []
+    parts = _parts(mechanism, arguments)
     return _joined([_projected(part, t0) for part in parts], parts[0].is_batch)
 
 
 def _projected(part: Part, t0: float) -> list[Array]:
     links = len(part.mechanism.links)
-    given, poses = part.arrays[:links], [pose_components(pose) for pose in part.arrays[links:]]
+    given, driven = part.arrays[:links], [components(x) for x in part.arrays[2 * links :]]
+    poses = [pose_components(pose) for pose in part.arrays[links : 2 * links]]
     system = System(part.mechanism, len(given[0]))
     start = [tuple(twist[:, i] for i in range(6)) for twist in given]
     states = system.states(poses, start, np.float64(t0))
     rows = tuple(r for s in states for r in s.at.rows)
-    prescribed = [r.prescribed_rate(s.x, s.body) for s in states for r in s.at.rows]
+    prescribed = _prescribed(system, states, poses, driven)
     if error := unfit_rate(rows, prescribed, t0):
         raise error
     if error_of_pose := unfit_constraints(part.mechanism, states, part.pose_label):
@@ -368,6 +377,20 @@ def _projected(part: Part, t0: float) -> list[Array]:
             "or give one that fits"
         )
     return [np.broadcast_to(assembled(twist), (system.count, 6)) for twist in twists]
+
+
+def _prescribed(
+    system: System, states: list[ConnectionState], poses: list[Pose], driven: list[Vec]
+) -> list[Any]:
+    """Return the prescribed rate of each row; of a fixed joint in the tree by `driven`, if any."""
+    rates = [r.prescribed_rate(s.x, s.body) for s in states for r in s.at.rows]
+    if not driven:
+        return rates
+    moves = [(s, r) for s in system.states(poses, driven) for r in s.at.rows]
+    return [
+        s.rate(r) if is_fixed(system.mechanism, s.at) else rate
+        for (s, r), rate in zip(moves, rates, strict=True)
+    ]
 
 
 def _rates(system: System, poses: list[Pose], twists: list[Vec], t0: float) -> Array:

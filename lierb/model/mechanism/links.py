@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -16,6 +16,7 @@ from lierb.support.representations import Lines, Represented
 
 GROUND = "ground"
 ByLink = Mapping[str, Any]  # values by name of the link: poses, twists, coordinates or rates
+Hold = ByLink | str | Iterable[str]  # numbers of joints, or links whose joints keep theirs
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -14,9 +14,9 @@ from lierb.model.files import mujoco as model_files
 from lierb.model.formulation import Formulation
 from lierb.model.mechanism.branches import assemblies_at
 from lierb.model.mechanism.closing import Mobility, closed, mobility, projected
-from lierb.model.mechanism.holding import closed_at
+from lierb.model.mechanism.holding import closed_at, projected_at
 from lierb.model.mechanism.kinematics import TreeKinematics
-from lierb.model.mechanism.links import ByLink, Link, Loop, Site
+from lierb.model.mechanism.links import ByLink, Hold, Link, Loop, Site
 from lierb.model.mechanism.plan import formulation_of, mechanism_plan_of
 from lierb.model.mechanism.regularity import require_regular
 from lierb.model.mechanism.start_checks import immobile, start_of_mechanism, violation_of
@@ -235,9 +235,7 @@ class Mechanism(TreeKinematics):
 
     # ---- closing ---------------------------------------------------------------------------------
 
-    def close(
-        self, pose: ByLink, *, hold: ByLink | None = None, t0: float = 0.0
-    ) -> dict[str, Array]:
+    def close(self, pose: ByLink, *, hold: Hold | None = None, t0: float = 0.0) -> dict[str, Array]:
         """Find poses near `pose` that close all joints and loops, by Newton's method.
 
         Every step is the motion of least kinetic energy that cancels the residuals, as in
@@ -248,8 +246,9 @@ class Mechanism(TreeKinematics):
         ----------
         pose : dict
             Poses of all links, (4, 4) or (n, 4, 4).
-        hold : dict, optional
-            Coordinates that joints shall have, by link, as for `pose`: numbers or arrays of n. They
+        hold : dict, str or iterable of str, optional
+            Coordinates that joints shall have, by link, as for `pose`: numbers or arrays of n; or
+            names of links whose joints keep the coordinates that they have in `pose`. They
             go there from those of `pose` in steps of at most 0.1 rad, or a tenth of the mechanism's
             size, each closed from the one before: the assembly stays on its branch. Angles go the
             shorter way, unless the mechanism has gears or screws, for which whole turns count. A
@@ -361,9 +360,17 @@ class Mechanism(TreeKinematics):
         return self._checked("the closed pose", poses)
 
     def project(
-        self, twist: ByLink, pose: ByLink | None = None, *, t0: float = 0.0
+        self,
+        twist: ByLink,
+        pose: ByLink | None = None,
+        *,
+        hold: Hold | None = None,
+        t0: float = 0.0,
     ) -> dict[str, Array]:
         """Return the nearest twists that satisfy all joints and loops, in kinetic energy.
+
+        They change given rates too: if only the crank of a four-bar has a rate, the links' masses
+        decide which rate it keeps. With `hold` the rates of joints are as given.
 
         Parameters
         ----------
@@ -371,6 +378,9 @@ class Mechanism(TreeKinematics):
             Body-fixed twists of all links, (6,) or (n, 6).
         pose : dict, optional
             Poses of all links. Default: all coordinates 0.
+        hold : dict, str or iterable of str, optional
+            Rates that joints shall have, by link, as for `twist`: numbers or arrays of n; or names
+            of links whose joints keep the rates that they have in `twist`.
         t0 : float, optional
             Time at which the speeds and positions of motors are evaluated, s.
 
@@ -382,7 +392,9 @@ class Mechanism(TreeKinematics):
         Raises
         ------
         TwistError
-            No twist satisfies the speeds prescribed by motors.
+            No twist satisfies the rates prescribed by motors and by `hold`.
+        ArgumentError
+            The joint of a link in `hold` has no coordinates.
 
         Examples
         --------
@@ -399,7 +411,11 @@ class Mechanism(TreeKinematics):
         poses = self.pose_arrays("pose", self.pose() if pose is None else pose)
         twists = self.twist_arrays("twist", twist)
         with np.errstate(all="ignore"):
-            nearest = projected(self, twists, poses, as_number("t0", t0))
+            time = as_number("t0", t0)
+            if hold:
+                nearest = projected_at(self, twists, poses, hold, time)
+            else:
+                nearest = projected(self, twists, poses, time)
         return self._checked("the projected twist", nearest)
 
     def _checked(self, what: str, arrays: list[Array]) -> dict[str, Array]:

@@ -225,6 +225,12 @@ def ends_of(mechanism: TreeKinematics, at: Connection) -> str:
     return " to ".join(mechanism.names[i] if i >= 0 else "ground" for i in (at.body, at.parent))
 
 
+def is_fixed(mechanism: TreeKinematics, at: Connection) -> bool:
+    """Return whether a connection is the fixed joint between a link and its parent."""
+    is_rigid = at.joint is not None and at.joint.name == "fixed"
+    return is_rigid and not at.elements and at.name == mechanism.names[at.body]
+
+
 def errors_of(s: ConnectionState) -> tuple[tuple[str, str, Any], tuple[str, str, Any]]:
     """Kind, unit and magnitude of the position error and of the rotation error."""
     rows = s.at.rows

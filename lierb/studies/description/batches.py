@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Collection, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from math import prod
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from lierb.errors import PoseError, StudyError
+from lierb.errors import LierbError, PoseError, StudyError, TwistError
 from lierb.kernels.mechanics.elements import INITIAL
 from lierb.model.mechanism.links import Link, Loop
 from lierb.model.mechanism.mechanism import Mechanism
@@ -34,17 +36,33 @@ class Batch:
     twist0 : (n, 6), of a mechanism by link.
     pose0 : (n, 4, 4), of a mechanism by link; None for the closed joint.
     draws : of each sampled quantity, by its path.
+    seed, trajectories : seed of the study, and numbers of the bodies in it, (n,); the noise of
+        controllers depends on them.
     """
 
     problem: Problem | Mechanism
     twist0: Any
     pose0: Any
     draws: dict[str, Array]
+    seed: int
+    trajectories: NDArray[np.int_]
 
     @property
-    def first(self) -> tuple[Problem | Mechanism, Any, Any]:
-        """Return problem, pose and twist of the first body alone."""
-        return self.problem.of_body(0), _first_of(self.pose0), _first_of(self.twist0)
+    def start(self) -> dict[str, Any]:
+        """Return the keywords of `lierb.integrate` for these bodies: start, and noise if any."""
+        start = {"pose0": self.pose0, "twist0": self.twist0}
+        if self.problem.controllers:
+            start |= {"seed": self.seed, "trajectories": self.trajectories}
+        return start
+
+    @property
+    def first(self) -> Batch:
+        """Return the first body alone; its pose and twist have no axis of bodies."""
+        draws = {path: values[:1] for path, values in self.draws.items()}
+        return Batch(
+            self.problem.of_body(0), _first_of(self.twist0), _first_of(self.pose0), draws,
+            self.seed, self.trajectories[:1],
+        )  # fmt: skip
 
 
 def _first_of(arrays: Any) -> Any:
@@ -61,7 +79,7 @@ def batch_of(study: StudyTables, first: int, count: int, design: Design | None =
 
 
 def batch_at(study: StudyTables, draws: dict[str, Array], first: int, count: int) -> Batch:
-    """Make and start bodies with these draws.   first : number of the first, for messages."""
+    """Make and start bodies with these draws.   first : number of the first."""
     own: Draws = {}
     for path, values in draws.items():
         section, _, key = path.rpartition(".")
@@ -80,7 +98,8 @@ def batch_at(study: StudyTables, draws: dict[str, Array], first: int, count: int
             f"sample.{next(iter(own))}: there is no such {table.removesuffix('s')}; known: {names}"
         )
     problem, twist0, pose0 = ready
-    return Batch(problem, twist0, pose0, draws)
+    numbers = np.arange(first, first + count)
+    return Batch(problem, twist0, pose0, draws, study.sample.seed, numbers)
 
 
 def _elements(study: StudyTables, own: Draws) -> Elements:
@@ -141,18 +160,33 @@ def _mechanism(
             loops.append(Loop(loop.name, joint, loop.body, loop.parent))
     with at("problem"):
         mechanism = Mechanism(links, loops, _gravity(study, own), **elements)
-    close, t0 = study.initial.close or AUTO, study.integrate.t0
-    with at("initial"):
+    close, hold = study.initial.close or AUTO, study.initial.hold or []
+    with at("initial"), of_links(mechanism.names):
         try:
-            twists, poses = started_mechanism(mechanism, initial, close, count, t0)
-        except PoseError as error:  # which numbers the bodies of this batch from 0
+            twists, poses = started_mechanism(
+                mechanism, initial, close, hold, count, study.integrate.t0
+            )
+        except (PoseError, TwistError) as error:  # which number the bodies of this batch from 0
             numbered = re.sub(
-                r"^pose\b(?:\[(\d+)\])?",
+                r"^(?:pose|twist)\b(?:\[(\d+)\])?",
                 lambda match: f"trajectory {first + int(match[1] or 0)}",
                 str(error),
             )
-            raise PoseError(numbered) from None
+            raise type(error)(numbered) from None
     return mechanism, twists, poses
+
+
+@contextmanager
+def of_links(names: Collection[str]) -> Iterator[None]:
+    """Convert errors about the start of a link, `crank.coordinates …`, to name its table."""
+    try:
+        yield
+    except LierbError as error:
+        about = re.match(r"(.+?)(?:\.(\w+))?[: ]+(.*)", str(error), re.DOTALL)
+        if about is None or about[1] not in names:
+            raise
+        key = ".".join(filter(None, (f"problem.links.{about[1]}.initial", about[2])))
+        raise StudyError(f"{key}: {about[3]}") from None
 
 
 # ---- shapes ------------------------------------------------------------------------------------

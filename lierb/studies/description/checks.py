@@ -11,7 +11,8 @@ from lierb.runs.time_options import MOST_SEED
 from lierb.studies.description.batches import Batch
 from lierb.studies.description.changes import index_of, path_of
 from lierb.studies.description.sections.running import IntegrateSection
-from lierb.studies.description.sections.sampling import RESERVED
+from lierb.studies.description.sections.sampling import OF_MECHANISM, RESERVED
+from lierb.studies.description.starting import NEVER
 from lierb.studies.description.study_file import ELEMENTS
 from lierb.studies.description.study_tables import LINKS_AND_LOOPS, StudyTables
 
@@ -32,8 +33,8 @@ def check_kind(study: StudyTables) -> None:
             raise StudyError(f"{key}: is missing")
     if study.problem.loops:
         raise StudyError("problem.loops: are of a mechanism, which has links: [[problem.links]]")
-    if study.initial.close is not None:
-        raise StudyError("initial.close: is of a mechanism, whose loops are closed")
+    for key in study.initial.given().keys() & {*OF_MECHANISM}:
+        raise StudyError(f"initial.{key}: is of a mechanism, whose loops are closed")
 
 
 def _check_mechanism(study: StudyTables) -> None:
@@ -46,7 +47,11 @@ def _check_mechanism(study: StudyTables) -> None:
     for key in ("body", "joint"):
         if getattr(study, key) is not None or getattr(study.sample, key):
             raise StudyError(f"{key}: is of one body; of a mechanism each link has its own")
-    for key in study.initial.given().keys() - {"close"}:
+    if study.initial.hold and study.initial.close == NEVER:
+        raise StudyError(
+            'initial.hold: is of starts that are closed; leave out close = "never", or hold'
+        )
+    for key in study.initial.given().keys() - {*OF_MECHANISM}:
         raise StudyError(
             f"initial.{key}: is of one body; of a mechanism each link has its own start, "
             "[problem.links.initial]"

@@ -88,7 +88,9 @@ def _text_of(folder: Path, file: str) -> str:
         with path.open("rb") as opened:
             content = opened.read(LONGEST_STUDY + 1)
     except FileNotFoundError:
-        raise StudyError(f"{file} is not in {folder}, beside the study") from None
+        raise StudyError(
+            f"{file} is not in {folder.resolve()}, beside the study, which names it; put it there"
+        ) from None
     except OSError as error:
         raise StudyError(f"{path} cannot be read: {reason(error)}") from error
     if len(content) > LONGEST_STUDY:

@@ -7,12 +7,13 @@ Numbers that are the defaults of `lierb.Body`, joints and `lierb.forces` are lef
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import suppress
 from inspect import signature
 from typing import Any
 
 import numpy as np
 
-from lierb.errors import ArgumentError, StudyError, brief, require_name
+from lierb.errors import ArgumentError, LierbError, StudyError, brief, require_name
 from lierb.kernels.functions.function import Function
 from lierb.kernels.mechanics.elements import INITIAL, TurnCounter
 from lierb.kernels.mechanics.rows import parameters_of
@@ -28,13 +29,14 @@ from lierb.sampling import Design
 from lierb.studies.description.code import PREFIX, source_of
 from lierb.studies.description.sections.bodies import POINTS
 from lierb.studies.description.sections.running import IntegrateSection, OutputSection
-from lierb.studies.description.sections.sampling import KEYS, KEYS_OF_LINK, OF_LINK
+from lierb.studies.description.sections.sampling import KEYS, KEYS_OF_LINK, OF_LINK, OF_MECHANISM
 from lierb.studies.description.study import Study
 from lierb.studies.description.study_file import ELEMENTS
 from lierb.studies.description.study_tables import NOTHING
 from lierb.support.arrays import Array
 
 INTEGRATE, OUTPUT = tuple(IntegrateSection.model_fields), tuple(OutputSection.model_fields)
+NAMELESS = "study"  # name of a study without one
 OF_JOINT = ("pitch", "length", *POINTS)  # sampled quantities of a joint made in Python
 
 
@@ -42,7 +44,7 @@ def study_of(
     problem: Problem | Mechanism,
     design: Design,
     *,
-    name: str = "study",
+    name: str = NAMELESS,
     initial: Mapping[str, Any] | None = None,
     **settings: Any,
 ) -> Study:
@@ -64,7 +66,8 @@ def study_of(
     initial : dict, optional
         Start of all bodies, except for sampled quantities: omega, twist, coordinates, … as in the
         table [initial]. For a mechanism by link: {"crank": {"coordinates": 0.3}}. Open joints are
-        then closed, to the nearest poses and twists, unless `initial` has close="never".
+        then closed, to the nearest poses and twists; {"hold": ["crank"]} beside the links keeps the
+        given coordinates and velocities of some, {"close": "never"} closes nothing.
     **settings : object
         Keys of [integrate], such as dt, rtol, save_at and t_end, and of [output]: part,
         compression.
@@ -140,10 +143,10 @@ def _starts(
     """Return the table `initial` of each link, and that of the study."""
     of_links, rest = {}, {}
     for key, value in initial.items():
-        if key == "close" and not isinstance(value, Mapping):
+        if key in OF_MECHANISM and not isinstance(value, Mapping):
             rest[key] = value
             continue
-        require_name("initial", key, (*mechanism.names, "close"))
+        require_name("initial", key, (*mechanism.names, *OF_MECHANISM))
         if not isinstance(value, Mapping):
             raise ArgumentError(
                 f"initial[{key!r}]={brief(value)}; expected a dictionary, such as "
@@ -196,27 +199,52 @@ def _body(prefix: str, body: Body, design: Design) -> dict[str, Any]:
     if any(com):
         tables["com"] = com
     if f"{prefix}body.second_moments" not in design.quantities:
-        tables["inertia"] = _one(f"{prefix}inertia", body.inertia, 2)
+        inertia = np.array(_one(f"{prefix}inertia", body.inertia, 2))
+        moments = inertia.diagonal()
+        is_principal = np.array_equal(inertia, np.diag(moments))
+        tables["inertia"] = (moments if is_principal else inertia).tolist()
     return tables
 
 
 def _joint(prefix: str, joint: Joint, design: Design) -> dict[str, Any]:
     tables: dict[str, Any] = {"type": joint.name if joint.name in JOINTS else "from_rows"}
-    on_body = _one(f"{prefix}body_frame", joint.body_frame, 2)
-    on_ground = _one(f"{prefix}ground_frame", joint.ground_frame, 2)
-    parallel = np.array(on_body)
-    parallel[:3, 3] = 0.0
-    if not np.array_equal(on_body, np.eye(4)):
-        tables["body_frame"] = on_body
-    # Beside points that are drawn, a frame parallel to the body's would be made for each of them.
-    is_drawn = f"{prefix}joint.body_point" in design.quantities
-    if is_drawn or not np.array_equal(on_ground, parallel):
-        tables["ground_frame"] = on_ground
+    on_body = np.array(_one(f"{prefix}body_frame", joint.body_frame, 2))
+    on_ground = np.array(_one(f"{prefix}ground_frame", joint.ground_frame, 2))
+    tables |= _frames(prefix, joint, on_body, on_ground, design)
     if tables["type"] == "from_rows":
         tables["rows"] = [str(row) for row in joint.rows]
     for name in parameters_of(joint.rows):
         tables[name] = _one(f"{prefix}{name}", getattr(joint, name))
     return tables
+
+
+def _frames(
+    prefix: str, joint: Joint, on_body: Array, on_ground: Array, design: Design
+) -> dict[str, Any]:
+    """Return points and an axis that make a joint's frames to the bit, or else the frames.
+
+    Of a joint with points that are drawn, the frames.
+    """
+    drawn = [point for point in POINTS if f"{prefix}joint.{point}" in design.quantities]
+    if joint.name in JOINTS and not drawn:
+        points = {"body_point": on_body[:3, 3], "ground_point": on_ground[:3, 3]}
+        chosen = {name: point.tolist() for name, point in points.items() if point.any()}
+        sizes = {name: getattr(joint, name) for name in parameters_of(joint.rows)}
+        for more in ({}, {"axis": on_body[:3, 2].tolist()}):
+            with suppress(LierbError):  # of a joint that takes no axis
+                made = JOINTS[joint.name](**chosen, **more, **sizes)
+                same = ((made.body_frame, on_body), (made.ground_frame, on_ground))
+                if all(np.array_equal(np.squeeze(a), b) for a, b in same):
+                    return chosen | more
+    frames = {}
+    parallel = on_body.copy()
+    parallel[:3, 3] = 0.0
+    if not np.array_equal(on_body, np.eye(4)):
+        frames["body_frame"] = on_body.tolist()
+    # Beside body points that are drawn, a parallel frame would be made for each of them.
+    if "body_point" in drawn or not np.array_equal(on_ground, parallel):
+        frames["ground_frame"] = on_ground.tolist()
+    return frames
 
 
 def _sample(design: Design, problem: Problem | Mechanism) -> dict[str, Any]:
@@ -293,6 +321,12 @@ def _element(element: Element, code: dict[str, str]) -> dict[str, Any]:
     file, text, name = source_of(element.made_by)
     if code.setdefault(file, text) != text:
         raise StudyError(f"two different files are called {file}; rename one of them")
+    own = element.made_by.defaults
+    parameters = {
+        name: value
+        for name, value in parameters.items()
+        if name not in own or not np.array_equal(value, own[name])
+    }
     for taken in ("type", "name", "on"):
         if taken in parameters:
             raise StudyError(f"{name}: its parameter {taken} needs another name in a study")

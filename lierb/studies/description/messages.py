@@ -23,11 +23,15 @@ MOST_LISTED = 10  # most errors of a file that are listed
 def at(table: str, keys: Collection[str] = ()) -> Iterator[None]:
     """Convert a LierbError, in a context, into a StudyError about a table of the file.
 
-    If the message begins with one of `keys`, the key is appended to the table's name.
+    If the message begins with one of `keys`, the key is appended to the table's name. A StudyError
+    about a body or a joint gets the whole name of its table.
     """
     try:
         yield
-    except StudyError:
+    except StudyError as error:
+        owner, _, last = table.rpartition(".")
+        if owner and last not in ELEMENTS and re.match(rf"{last}\b", str(error)):
+            raise StudyError(f"{owner}.{error}") from None
         raise
     except LierbError as error:
         first = re.match(r"\w+", str(error))
@@ -42,10 +46,12 @@ def called(table: str, function: Any, values: dict[str, Any]) -> Any:
     for name in values:
         if name not in known:
             raise StudyError(f"{table}.{name}: unknown key{suggestion(name, known)}")
-    try:
-        signature.bind(**values)
-    except TypeError as error:
-        raise StudyError(f"{table}: {error}") from None
+    needed = [n for n, p in signature.parameters.items() if p.default is p.empty and n in known]
+    if lacking := [name for name in needed if name not in values]:
+        name = getattr(function, "__name__", "it")
+        raise StudyError(
+            f"{table}: {' and '.join(lacking)} missing; {name} needs {', '.join(needed)}"
+        )
     return function(**values)
 
 
@@ -97,7 +103,7 @@ def _message(error: Any, model: type[BaseModel], tables: dict[str, Any], given: 
     path = tuple(error["loc"])
     while path and not _leads_somewhere(path, tables) and error["type"] != "missing":
         path = path[:-1]  # pydantic adds the names of the alternatives that it tried
-    key = ".".join(map(str, path))
+    key = ".".join(_named(path, tables))
     what = error["msg"][0].lower() + error["msg"][1:]
     for python, toml in WORDS.items():
         what = re.sub(python, toml, what)
@@ -108,6 +114,17 @@ def _message(error: Any, model: type[BaseModel], tables: dict[str, Any], given: 
     elif not isinstance(error["input"], dict):
         what += f", got {shortened(repr(error['input']))}"
     return f"{given.place(path)}: {key}: {what}"
+
+
+def _named(path: tuple[Any, ...], tables: Any) -> Iterator[str]:
+    """Yield the parts of a path; links, loops and elements with a name have it for their number."""
+    for part in path:
+        try:
+            tables = tables[part]
+        except (KeyError, IndexError, TypeError):
+            tables = None
+        name = tables.get("name") if isinstance(part, int) and isinstance(tables, dict) else None
+        yield name if isinstance(name, str) else str(part)
 
 
 def _leads_somewhere(path: tuple[Any, ...], tables: Any) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -41,8 +42,10 @@ def quantile_of(ordered: Array, probability: float) -> Quantile:
     Raises ArgumentError unless 0 < probability < 1.
     """
     if not 0.0 < probability < 1.0:
+        remedy = f"; for {probability:g} % give {probability / 100.0:.12g}"
         raise ArgumentError(
             f"probability={brief(probability)}; expected more than 0 and less than 1"
+            f"{remedy if 1.0 <= probability < 100.0 else ''}"
         )
     if not len(ordered):
         return Quantile(probability, np.nan, np.nan, np.nan)
@@ -52,6 +55,23 @@ def quantile_of(ordered: Array, probability: float) -> Quantile:
     value = float(np.quantile(ordered, probability, method="inverted_cdf"))
     interval = quantile_test(ordered, q=value, p=probability).confidence_interval(CONFIDENCE)
     return Quantile(probability, value, float(interval.low), float(interval.high))
+
+
+def fractions(argument: str, percentages: Sequence[float]) -> tuple[float, ...]:
+    """Convert percentages from 0 to 100 to probabilities.
+
+    Raises ArgumentError, also if all are at most 1, as shares of the bodies are.
+    """
+    given = ",".join(f"{each:.12g}" for each in percentages)
+    if not percentages or not all(0.0 <= each <= 100.0 for each in percentages):
+        raise ArgumentError(f"{argument}={given}; expected percentages from 0 to 100, as 5,50,95")
+    if max(percentages) <= 1.0:
+        larger = ",".join(f"{100.0 * each:.12g}" for each in percentages)
+        raise ArgumentError(
+            f"{argument}={given}; expected percentages, as {argument}={larger} for these shares; "
+            f"if {given} % are meant, give a larger one beside them: {argument}={given},50"
+        )
+    return tuple(each / 100.0 for each in percentages)
 
 
 def percent(probability: float) -> str:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -25,6 +26,28 @@ def path_given(study: Any) -> Path:
         raise ArgumentError(
             f"study={brief(study)}; expected a lierb.Study, or the path of its TOML file"
         ) from None
+
+
+def name_of(path: Path) -> str:
+    """Return the name of a study by its file; in a folder of results, that in the manifest."""
+    with suppress(OSError, ValueError, RecursionError, LookupError, TypeError):
+        if is_of_results(path):
+            return str(json.loads(_manifest(path).read_bytes())["study"]["name"])
+    return path.stem
+
+
+def folder_by(path: Path) -> str:
+    """Return the name of a folder for results, by a study's file or the results that it is in."""
+    return path.resolve().parent.name if is_of_results(path) else path.stem
+
+
+def is_of_results(path: Path) -> bool:
+    """Return True for the study.toml of a folder with results."""
+    return path.name == COPY and _manifest(path).is_file()
+
+
+def _manifest(path: Path) -> Path:
+    return path.parent / "manifest.json"
 
 
 @contextmanager

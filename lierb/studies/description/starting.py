@@ -6,12 +6,12 @@ are placed relative to their parents, each by its own table `initial`; open loop
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-from lierb.errors import ArgumentError
+from lierb.errors import ArgumentError, require_name
 from lierb.kernels.groups import se3
 from lierb.kernels.mechanics.constraints import holds_a_point
 from lierb.kernels.numbers.vec import IDENTITY, ZERO6, Vec, add, mat_t_vec
@@ -90,14 +90,21 @@ def _on(joint: Joint, relative: Pose) -> Pose:
 
 
 def started_mechanism(
-    mechanism: Mechanism, initial: Mapping[str, Initial], close: str, count: int, t0: float
+    mechanism: Mechanism,
+    initial: Mapping[str, Initial],
+    close: str,
+    hold: Sequence[str],
+    count: int,
+    t0: float,
 ) -> tuple[dict[str, Array], dict[str, Array]]:
     """Compute twists, (count, 6), and poses, (count, 4, 4), of all links.
 
     initial : tables of the links, by name.
     close : AUTO closes open loops and projects twists that violate constraints, to the nearest
         poses and twists in the mass metric; NEVER leaves them.
+    hold : links whose given coordinates and velocities are kept.
     """
+    places, rates = _held(mechanism, initial, hold)
     with np.errstate(all="ignore"):  # overflow is detected in the result
         placed = _poses(mechanism, initial)
     poses = {
@@ -106,7 +113,7 @@ def started_mechanism(
     }
     is_tree = _is_a_tree(mechanism)
     if close == AUTO and not is_tree:
-        poses = mechanism.close(poses, t0=t0)
+        poses = mechanism.close(poses, hold=places, t0=t0)
     with np.errstate(all="ignore"):
         moving = _twists(mechanism, initial, poses)
     twists = {
@@ -115,8 +122,26 @@ def started_mechanism(
     }
     is_free = not any({"omega", "twist"} & {*given} for given in initial.values())
     if close == AUTO and not (is_tree and is_free):
-        twists = mechanism.project(twists, poses, t0=t0)
+        twists = mechanism.project(twists, poses, hold=rates, t0=t0)
     return twists, poses
+
+
+def _held(
+    mechanism: Mechanism, initial: Mapping[str, Initial], hold: Sequence[str]
+) -> tuple[dict[str, Array], dict[str, Array]]:
+    """Return the coordinates, and the velocities, that held links are given."""
+    kept: dict[str, dict[str, Array]] = {"coordinates": {}, "velocities": {}}
+    for name in hold:
+        require_name("hold", name, mechanism.names)
+        given, motions = initial.get(name, {}), motions_of(mechanism.link(name).joint)
+        if motions is None or not kept.keys() & given.keys():
+            raise ArgumentError(
+                f"hold: {name} has neither coordinates nor velocities to keep; give some in "
+                f"problem.links.{name}.initial, or leave {name} out"
+            )
+        for key in kept.keys() & given.keys():
+            kept[key][name] = _numbers(f"{name}.{key}", given[key], motions.names)
+    return kept["coordinates"], kept["velocities"]
 
 
 def _spread(what: str, array: Array, count: int, item_axes: int) -> Array:

@@ -34,7 +34,7 @@ from lierb.studies.description.code import Code, named, read_code
 from lierb.studies.description.messages import Given, at, located, messages
 from lierb.studies.description.sections.running import Baumgarte
 from lierb.studies.description.settings import Setting, settings_label
-from lierb.studies.description.sources import LONGEST_STUDY, path_given
+from lierb.studies.description.sources import LONGEST_STUDY, name_of, path_given
 from lierb.studies.description.stopping import Rule, rule_of
 from lierb.studies.description.study_file import (
     ELEMENTS,
@@ -155,7 +155,7 @@ class Study(Represented, StudyTables):
         """
         path = path_given(path)
         text = read(path)
-        tables = {"name": path.stem} | tables_in(text, path.name)
+        tables = {"name": name_of(path)} | tables_in(text, path.name)
         return cls.of(tables, path.name, text, changes, path.parent)
 
     def check(self) -> None:
@@ -220,13 +220,10 @@ class Study(Represented, StudyTables):
         own = self.integrate.stabilise
         return baumgarte(**own.model_dump()) if isinstance(own, Baumgarte) else own
 
-    def options(self, setting: Setting, model: Model, **own: Any) -> Options:
-        """Return the options of a run. Raises the errors of `lierb.integrate`.
-
-        own : keywords of `lierb.integrate` that replace those of the study.
-        """
+    def keywords(self, setting: Setting) -> dict[str, Any]:
+        """Return the keywords of `lierb.integrate` in a setting, beside those of the bodies."""
         run = self.integrate
-        given = {
+        return {
             "stabilise": self.stabilise, "cspace": setting.cspace, "method": setting.method,
             "dt": setting.dt, "t_end": run.t_end, "t0": run.t0, "update": run.update,
             "solver": run.solver, "save_every": run.save_every, "save_at": run.times,
@@ -235,7 +232,13 @@ class Study(Represented, StudyTables):
             "dt_min": run.dt_min, "dt_max": run.dt_max, "max_steps": run.max_steps,
             "discontinuities": run.discontinuities,
         }  # fmt: skip
-        return Options.of(model, **given | own)
+
+    def options(self, setting: Setting, model: Model, **own: Any) -> Options:
+        """Return the options of a run. Raises the errors of `lierb.integrate`.
+
+        own : keywords of `lierb.integrate` that replace those of the study.
+        """
+        return Options.of(model, **self.keywords(setting) | own)
 
     @property
     def stopping_rule(self) -> Rule | None:
@@ -271,7 +274,8 @@ class Study(Represented, StudyTables):
         Returns
         -------
         Batch
-            `problem`, `pose0` and `twist0` of these bodies, for `lierb.integrate`.
+            `problem` of these bodies, and `start`, the keywords of `lierb.integrate` for them:
+            pose0, twist0, and with controllers seed and trajectories, on which noise depends.
         """
         return batch_of(self, first, count, design)
 

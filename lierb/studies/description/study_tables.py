@@ -7,7 +7,6 @@ from collections.abc import Iterator, Mapping
 from itertools import product
 from typing import Any, Self
 
-import tomli_w
 from pydantic import ConfigDict, PrivateAttr, model_validator
 
 from lierb.runs.time_options import ADAPTIVE_METHOD
@@ -20,6 +19,7 @@ from lierb.studies.description.sections.running import IntegrateSection, OutputS
 from lierb.studies.description.sections.sampling import SampleSection
 from lierb.studies.description.settings import Setting
 from lierb.studies.description.study_file import ELEMENTS, plain
+from lierb.studies.description.toml import toml_of
 from lierb.support.representations import counted
 
 TABLES = ("summary", "history", "events")
@@ -119,12 +119,15 @@ class StudyTables(Section):
         str
             TOML.
         """
-        return tomli_w.dumps(self._tables())
+        return toml_of(self._tables())
 
     def _tables(self) -> dict[str, Any]:
         tables = self.model_dump(exclude_none=True, exclude_defaults=True)
-        if self.problem.links:  # the default of a mechanism differs
-            tables["integrate"]["cspace"] = self.integrate.cspace
+        run = tables["integrate"]
+        for key, default in _dependent(bool(self.problem.links), self.integrate.is_adaptive):
+            run.pop(key, None)
+            if (own := getattr(self.integrate, key)) != default:
+                run[key] = own
         return tables
 
     def digest(self) -> str:
@@ -152,7 +155,7 @@ def _later_keys(tables: dict[str, Any]) -> Iterator[tuple[dict[str, Any], tuple[
     for section in ("problem", "sample"):
         yield tables[section], ELEMENTS[1:]
     yield tables["problem"], LINKS_AND_LOOPS
-    yield tables["initial"], ("close",)
+    yield tables["initial"], ("close", "hold")
     yield tables["integrate"], ("stabilise", "sensitivities", *NEW_KEYS)
     for key in ("body", "joint"):
         if tables[key] is None:
@@ -170,12 +173,23 @@ def _later_keys(tables: dict[str, Any]) -> Iterator[tuple[dict[str, Any], tuple[
 def _with_defaults(tables: Any) -> Any:
     """Add the c-space of a mechanism, "reduced", and the method of adaptive steps."""
     match tables:
-        case {"problem": {"links": [*_]}, "integrate": {**run}} if "cspace" not in run:
-            tables = tables | {"integrate": run | {"cspace": ["reduced"]}}
-    match tables:
-        case {"integrate": {**run}} if "method" not in run and {"rtol", "atol"} & run.keys():
-            tables = tables | {"integrate": run | {"method": [ADAPTIVE_METHOD]}}
+        case {"integrate": {**run}}:
+            match tables:
+                case {"problem": {"links": [_, *_]}}:
+                    has_links = True
+                case _:
+                    has_links = False
+            defaults = dict(_dependent(has_links, bool({"rtol", "atol"} & run.keys())))
+            return tables | {"integrate": defaults | run}
     return tables
+
+
+def _dependent(has_links: bool, is_adaptive: bool) -> tuple[tuple[str, list[str]], ...]:
+    """Return the defaults of [integrate] that depend on other keys."""
+    return (
+        ("cspace", ["reduced" if has_links else "SE3"]),
+        ("method", [ADAPTIVE_METHOD if is_adaptive else "RK4"]),
+    )
 
 
 def tables_of_study(study: Mapping[str, Any]) -> tuple[str, ...]:

@@ -16,7 +16,7 @@ from lierb.results.failures import warn_of
 from lierb.sampling import Design
 from lierb.studies.dataset import Dataset
 from lierb.studies.description.code import is_loading
-from lierb.studies.description.from_python import study_of
+from lierb.studies.description.from_python import NAMELESS, study_of
 from lierb.studies.description.study import Study
 from lierb.studies.description.study_file import plain_changes
 from lierb.studies.execution.cluster import spread
@@ -27,6 +27,7 @@ from lierb.studies.execution.replaying import REPLAY
 from lierb.studies.storage.files import Stored, parquet_files
 from lierb.studies.storage.parts import Part
 from lierb.studies.storage.store import Store
+from lierb.support.files import folder_of
 from lierb.support.progress import BODY_STEPS, Progress, check_progress, reporter
 
 if TYPE_CHECKING:
@@ -124,7 +125,8 @@ def run(
     gather : bool, optional
         Let the workers send their parts back, and this process write them.
     **settings : object
-        Settings of a problem: dt or rtol, t_end and others of `lierb.study_of`.
+        Settings of a problem: dt or rtol, t_end and others of `lierb.study_of`; the study's `name`
+        is by default that of the folder.
 
     Returns
     -------
@@ -216,12 +218,18 @@ def _study_and_folder(
             raise ArgumentError(
                 "a problem is run as lierb.run(problem, design, out, dt=…, t_end=…)"
             )
-        return study_of(study, design, **settings), out
+        return study_of(study, design, **{"name": _name_by(out), **settings}), out
     if design is not None and out is not None:
         raise ArgumentError("a study is run as lierb.run(study, out)")
     for key in settings:
         raise ArgumentError(f"{key} is a setting of the study; give it in changes=")
     return study, design if out is None else out
+
+
+def _name_by(out: Any) -> str:
+    """Return the name of a study without one: that of its folder, if a study may be called so."""
+    name = folder_of(out).resolve().name
+    return name if name and name.isprintable() else NAMELESS
 
 
 def _here(

@@ -12,7 +12,13 @@ import pyarrow.compute as pc
 from lierb.errors import require_name
 from lierb.kernels.systems.observables import KEEPS
 from lierb.results.columns import as_array, unit_of
-from lierb.studies.description.quantiles import CONFIDENCE, PROBABILITIES, Quantile, quantile_of
+from lierb.studies.description.quantiles import (
+    CONFIDENCE,
+    PROBABILITIES,
+    Quantile,
+    fractions,
+    quantile_of,
+)
 from lierb.studies.description.settings import Setting
 from lierb.studies.findings.columns import ok_columns, rows_of
 from lierb.studies.findings.sizes import errors_seen
@@ -72,21 +78,25 @@ def percentiles_over_time(
     *,
     of: Callable[[Array], Array] = np.asarray,
 ) -> pa.Table:
-    """Compute percentiles of a column of the history at each time, over the bodies.
+    """Compute percentiles of a column of the history at each time, over the ok bodies.
+
+    Bodies that failed do not count, not even before they did; those that an event has ended count
+    until then.
 
     of : function of the numbers, such as np.abs.
 
     Returns a table of step, t, bodies and a column for each, such as p5 and p97.5, in the column's
     unit. The history may be larger than the memory: at most MOST_NUMBERS are read at once.
 
-    Raises UnknownNameError for a column that is none of one number.
+    Raises UnknownNameError for a column that is none of one number, and ArgumentError for
+    percentiles that are fractions.
     """
+    probabilities = np.array(fractions("percentiles", percentiles))
     history = dataset.table("history")
     schema = history.schema
     scalar = [f.name for f in schema if pa.types.is_float64(f.type) and f.name not in NO_RESULTS]
     require_name("name", name, scalar)
-    probabilities = np.asarray(percentiles, dtype=float) / 100.0
-    rows = rows_of(setting)
+    rows = rows_of(setting) & ~pc.field("trajectory").isin(_failed(dataset, setting))
     times = _times(dataset, setting)
     most = max(1, MOST_NUMBERS // max(1, history.count_rows(filter=rows) // max(1, len(times))))
     steps, quantiles, counts = list(times), [], []
@@ -112,6 +122,12 @@ def percentiles_over_time(
     ]
     arrays = [steps, [times[step] for step in steps], counts, *columns]
     return pa.table([pa.array(a) for a in arrays], schema=pa.schema(fields))
+
+
+def _failed(dataset: Results, setting: Setting) -> pa.ChunkedArray:
+    """Return the numbers of the bodies that failed in a setting."""
+    failed = dataset.table().to_table(columns=["trajectory"], filter=rows_of(setting) & ~IS_SUCCESS)
+    return failed["trajectory"]
 
 
 def _times(dataset: Results, setting: Setting) -> dict[int, float]:

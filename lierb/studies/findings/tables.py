@@ -13,7 +13,7 @@ from lierb.studies.findings.findings import LABELS, SettingErrors, orders
 from lierb.studies.findings.linear_theory import LinearTheory
 from lierb.studies.findings.occurrences import Occurred
 from lierb.studies.findings.statistics import Sensitivity, Spread
-from lierb.support.representations import counted, rounded
+from lierb.support.representations import counted, digits_apart, rounded
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -77,8 +77,17 @@ def _in_sections(table: Table, rows: Iterable[Row]) -> Iterator[Row]:
         yield each
 
 
-def _quantile_row(quantile: Quantile, beyond: str = "inf") -> list[str]:
-    return [percent(quantile.probability), *with_interval(quantile[1:], beyond=beyond)]
+def form_of(quantile: Quantile, row: Iterable[Quantile]) -> str:
+    """Return the format of a quantile and its interval, with digits that tell them apart.
+
+    row : quantiles beside it, from which it differs too.
+    """
+    beside = [quantile.low, quantile.high, *(each.value for each in row)]
+    return f".{digits_apart(quantile.value, beside)}g"
+
+
+def _quantile_rows(row: Sequence[Quantile], beyond: str = "inf") -> list[list[str]]:
+    return [[percent(q.probability), *with_interval(q[1:], form_of(q, row), beyond)] for q in row]
 
 
 def _add_rows(table: Table, names: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
@@ -96,7 +105,7 @@ def table_of_quantities(rows: list[Spread]) -> Table:
     for each in _in_sections(table, rows):
         names = [named(each.name, each.unit)]
         names += [f"  not a number: {each.undefined}"] if each.undefined else []
-        _add_rows(table, names, map(_quantile_row, each.quantiles))
+        _add_rows(table, names, _quantile_rows(each.quantiles))
     return table
 
 
@@ -109,7 +118,7 @@ def table_of_events(rows: list[Occurred], t_end: float) -> Table:
             f"  in {each.bodies} of {counted(each.of, 'body', 'bodies')}",
             f"  {each.crossings} in all",
         ]
-        _add_rows(table, names, [_quantile_row(q, f"> {t_end:g}") for q in each.first])
+        _add_rows(table, names, _quantile_rows(each.first, f"> {t_end:g}"))
     return table
 
 
@@ -135,8 +144,9 @@ def table_of_linear_theory(rows: list[LinearTheory]) -> Table:
     table = empty_table(("linear theory: share of variance",), ("", "linear", "sampled", INTERVAL))
     for each in _in_sections(table, rows):
         names = [named(each.name, each.unit), *(f"  {share}" for share in shares_of(each))]
-        rows_of = map(_quantile_row, each.sampled)
-        _add_rows(table, names, [[p, f"{x:.3g}", *q] for x, (p, *q) in zip(each.linear, rows_of)])
+        linear = [f"{x:{form_of(q, each.sampled)}}" for x, q in zip(each.linear, each.sampled)]
+        rows_of = zip(linear, _quantile_rows(each.sampled))
+        _add_rows(table, names, [[p, x, *q] for x, (p, *q) in rows_of])
     return table
 
 

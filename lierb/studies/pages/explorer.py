@@ -47,7 +47,7 @@ def explorer(dataset: Results, ranked: list[Ranking], errors: Iterable[str]) -> 
             mode="markers", name=look.setting.label, customdata=rows["trajectory"][some],
             marker={"size": 5, "opacity": 0.5, "color": look.key.colour,
                     "symbol": SYMBOLS[sizes.index(look.setting.step) % len(SYMBOLS)]},
-            hovertemplate="trajectory %{customdata}<br>%{x:.4g}, %{y:.2e}",
+            hovertemplate="trajectory %{customdata}<br>%{x:.6g}, %{y:.6g}",
         )  # fmt: skip
     if not any(numbers.size for x in across for numbers in x.values()):
         return ""
@@ -60,7 +60,7 @@ def explorer(dataset: Results, ranked: list[Ranking], errors: Iterable[str]) -> 
     figure.update_layout(
         template="simple_white", height=560, hovermode="closest",
         margin={"t": 110, "r": 10, "l": 62},
-        legend={"orientation": "h", "y": -0.18},
+        legend={"orientation": "h", "y": -0.24},
         xaxis={"title": {"text": titles[0]}, "showgrid": True},
         yaxis={"title": {"text": axes[0].title}, "type": _scale(axes[0]), "showgrid": True,
                "exponentformat": "power"},
@@ -78,7 +78,8 @@ def explorer(dataset: Results, ranked: list[Ranking], errors: Iterable[str]) -> 
     )  # fmt: skip
     html: str = figure.to_html(
         full_html=False, include_plotlyjs=True, div_id="explorer",
-        config={"displaylogo": False, "modeBarButtons": [["zoom2d", "pan2d", "resetScale2d"]]},
+        config={"displaylogo": False, "responsive": True,
+                "modeBarButtons": [["zoom2d", "pan2d", "resetScale2d"]]},
     )  # fmt: skip
     return html
 

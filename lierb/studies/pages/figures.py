@@ -36,14 +36,22 @@ KINDS: dict[str, Callable[[Results], Sheet]] = {
 CAPTIONS = {
     "distribution": "The share of the bodies whose largest error is at or below a value, and "
     "histograms: each body's largest error (filled), and that at the end of its run (outline).",
-    "time": "Median (thick), 5 to 95 % of the bodies (band) and the largest (thin) at each time.",
-    "recorded": "What else was recorded: median (line) and 5 to 95 % of the bodies (band).",
-    "quantities": "What else the bodies' summaries have: a histogram for each setting.",
+    "time": "Median (thick), 5 to 95 % of the bodies (band) and the largest (thin) at each "
+    "time, of the bodies that did not fail.",
+    "recorded": "What else was recorded: median (line) and 5 to 95 % of the bodies (band) that "
+    "did not fail.",
+    "quantities": "What else the bodies' summaries have, without those that failed: a "
+    "histogram for each setting.",
     "order": "Median, 95 % and largest of the bodies over the step; grey: the method's order.",
     "events": "The share of the bodies to which an event has happened by a time.",
     "parameters": "A dot is a body: the column by which bodies are ranked, against each sampled "
     "number; errors of zero on the lower edge.",
 }
+
+TITLES = {  # of figures that may be left out
+    "time": "errors over time", "order": "errors over the step",
+    "parameters": "figure over sampled numbers",
+}  # fmt: skip
 
 
 def omitted(dataset: Results) -> dict[str, str]:
@@ -60,7 +68,7 @@ def omitted(dataset: Results) -> dict[str, str]:
 
 def _no_order(study: Study) -> tuple[bool, str]:
     if study.integrate.is_adaptive:
-        return True, "steps are adaptive"
+        return True, "adaptive steps have no one size"
     return len(set(study.integrate.dt)) < 2, "there is one dt"
 
 

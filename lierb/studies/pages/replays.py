@@ -16,6 +16,7 @@ from lierb.studies.storage.parts import Part
 from lierb.studies.storage.results import IS_SUCCESS, Results
 
 FRAMES = 500  # frames of each trajectory
+MORE = 4  # times as many frames of trajectories that turn fast
 MOST_SPACES = 2  # most settings side by side
 
 
@@ -70,12 +71,18 @@ def _beside(study: Study, setting: Setting) -> list[Setting]:
 def replayed(study: Study, picked: Chosen) -> Animation:
     """Integrate the chosen trajectories again, each as in the study, and animate them.
 
-    See `lierb.studies.dataset.Dataset.replay`.
+    With more frames where a body turns far from one to the next. See
+    `lierb.studies.dataset.Dataset.replay`.
     """
+    animation = _animated(study, picked, FRAMES)
+    return _animated(study, picked, MORE * FRAMES) if animation.scene["notes"] else animation
+
+
+def _animated(study: Study, picked: Chosen, frames: int) -> Animation:
     views = []
     for what, trajectory in picked.trajectories.items():
         for setting in picked.settings:
-            recorded = _with_states(study, setting)
+            recorded = _with_states(study, setting, frames)
             batch, result = Part("", setting, trajectory, 1).run(recorded, study.design)
             ((status, t),) = zip(*(result.summary[n].to_pylist() for n in ("status", "t")))
             space = CSPACE_NAMES.get(setting.cspace, setting.cspace)
@@ -84,21 +91,21 @@ def replayed(study: Study, picked: Chosen) -> Animation:
             views.append((label, result, batch.problem.of_body(0), 0))
     run = picked.settings[0]
     title = f"{study.name}: {run.method}, {run.step_label}"
-    return Animation(scene_of(views, title=title, shape=None, trail=True, frames=FRAMES))
+    return Animation(scene_of(views, title=title, shape=None, trail=True, frames=frames))
 
 
-def _with_states(study: Study, setting: Setting) -> Study:
+def _with_states(study: Study, setting: Setting, frames: int) -> Study:
     """Return the study with states recorded, and nothing that needs a kernel of its own."""
     run = study.integrate
     kept = [name for name in run.record if name not in ("energy", "state")]
     changes: dict[str, Any] = {"record": ["state", *kept] if run.saves else ["state"]}
     if study.has_lane_clocks:
-        length = (run.t_end - run.t0) / FRAMES
+        length = (run.t_end - run.t0) / frames
         changes |= {"save_every": None, "save_at": {"every": length}}
     else:
         assert setting.dt is not None
         steps = round((run.t_end - run.t0) / setting.dt)
-        changes["save_every"] = max(1, steps // FRAMES)
+        changes["save_every"] = max(1, steps // frames)
     changed = run.model_copy(update=changes)
     return study.model_copy(update={"integrate": changed})
 

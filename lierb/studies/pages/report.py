@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import base64
 import io
+import shlex
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from lierb.analysis.magnitudes import kinds_of
 from lierb.analysis.prediction import Prediction, joint_by_joint, predict
 from lierb.errors import LierbError
 from lierb.results.columns import as_array, unit_of
@@ -21,14 +23,14 @@ from lierb.studies.findings.columns import drawn_columns, ok_columns
 from lierb.studies.findings.linear_theory import left_out
 from lierb.studies.findings.ranking import Ranking, rankings
 from lierb.studies.findings.sizes import errors_seen
-from lierb.studies.findings.tables import named, shares_of, with_interval
+from lierb.studies.findings.tables import form_of, named, shares_of, with_interval
 from lierb.studies.pages.replays import chosen, description_of, replayed
 from lierb.studies.storage.parts import Parts
 from lierb.studies.storage.replaying import call_of
-from lierb.studies.storage.results import IS_SUCCESS, Results, setting_columns
+from lierb.studies.storage.results import IS_SUCCESS, STUDY, Results, setting_columns
 from lierb.support.extras import require
 from lierb.support.files import require_page, write_whole
-from lierb.support.representations import rounded
+from lierb.support.representations import apart, rounded
 
 require("report")
 import jinja2  # noqa: E402
@@ -37,7 +39,7 @@ from matplotlib.figure import Figure  # noqa: E402
 from lierb.results.panels import MOST_KEYS, panels_of  # noqa: E402
 from lierb.results.plots import save  # noqa: E402
 from lierb.studies.pages.explorer import WORST, explorer  # noqa: E402
-from lierb.studies.pages.figures import CAPTIONS, omitted, sheets  # noqa: E402
+from lierb.studies.pages.figures import CAPTIONS, TITLES, omitted, sheets  # noqa: E402
 
 TEMPLATE = "report.html"
 FAILED = 20  # most failed bodies that are listed
@@ -71,7 +73,8 @@ def write_report(
         lstrip_blocks=True,
     )
     environment.globals |= {  # functions that the template calls
-        "call_of": call_of, "data_url": data_url, "named": named, "orders": findings.orders,
+        "call_of": call_of, "data_url": data_url, "form_of": form_of, "named": named,
+        "orders": findings.orders,
         "panels_of": panels_of, "rounded": rounded, "shares_of": shares_of,
         "with_interval": with_interval, "zip": zip,
     }  # fmt: skip
@@ -84,7 +87,8 @@ def _values(
     dataset: Results, rank_by: str | None, probabilities: Sequence[float]
 ) -> dict[str, Any]:
     """Return the values of the template."""
-    study, ranked = dataset.study, rankings(dataset, rank_by)
+    study, ranked, folder = dataset.study, rankings(dataset, rank_by), dataset.folder
+    kinds = kinds_of(study.batch(0, 1).problem)
     percents = [percent(p) for p in probabilities]
     options = "" if rank_by is None else f" --rank-by={rank_by}"
     if tuple(probabilities) != PROBABILITIES:
@@ -97,11 +101,16 @@ def _values(
         "body_steps": _steps_done(dataset),
         "predictions": _predictions(study),
         "options": options,
+        "folder": str(folder),
+        "command": shlex.join(["lierb", "run", str(folder / STUDY), "--out", str(folder)]),
+        "code": study.code,
+        "asked": bool(study.problem.observables),
+        "has_rows": bool(kinds),
         "failed": dataset.failures(),
         "failures": _failures(dataset),
         "percents": percents,
         "confidence": f"{CONFIDENCE:.0%}",
-        "labels": findings.LABELS,
+        "labels": {k: label for k, label in findings.LABELS.items() if k in (*kinds, "energy")},
         "errors": findings.findings(dataset),
         "quantities": findings.quantities(dataset, probabilities),
         "events": findings.crossings(dataset, probabilities),
@@ -110,6 +119,7 @@ def _values(
         "left_out": left_out(theory),
         "figures": list(sheets(dataset, rank_by)),
         "captions": CAPTIONS,
+        "titles": TITLES,
         "most_keys": MOST_KEYS,
         "omitted": omitted(dataset),
         "explorer": explorer(dataset, ranked, errors_seen(dataset).values()),
@@ -127,10 +137,11 @@ def _steps_done(dataset: Results) -> int:
 
 
 def _predictions(study: Study) -> list[tuple[str, Prediction]]:
-    """Return predictions for each joint of the first body; [] if no theorem applies."""
+    """Return predictions for each joint with rows of the first body; [] if no theorem applies."""
     try:
-        problem, pose0, _ = study.batch(0, 1).first
-        return list(joint_by_joint(predict(problem, pose0, update=study.integrate.update)))
+        first = study.batch(0, 1).first
+        made = predict(first.problem, first.pose0, update=study.integrate.update)
+        return [(joint, each) for joint, each in joint_by_joint(made) if each.rows]
     except LierbError:
         return []
 
@@ -164,16 +175,30 @@ def _worst(dataset: Results, ranking: Ranking) -> list[dict[str, Any]]:
         worst += [
             {"ranking": named(ranking.label, unit), "value": values[i], "setting": setting,
              "trajectory": int(rows["trajectory"][i]),
-             "draws": {each.removeprefix("sample."): _drawn(rows[each][i]) for each in drawn}}
+             "draws": {each.removeprefix("sample."): rows[each][i] for each in drawn}}
             for i in ranking.order(values)[:WORST]
         ]  # fmt: skip
     order = ranking.order(np.array([each["value"] for each in worst]))
-    return [worst[i] for i in order[:WORST]]
+    worst = [worst[i] for i in order[:WORST]]
+    shown = apart([each["value"] for each in worst])
+    draws = {name: _drawn([each["draws"][name] for each in worst]) for name in _names(worst)}
+    return [
+        each | {"value": value, "draws": {name: texts[i] for name, texts in draws.items()}}
+        for i, (each, value) in enumerate(zip(worst, shown))
+    ]
 
 
-def _drawn(draw: Any) -> str:
-    numbers = ", ".join(f"{x:.4g}" for x in np.atleast_1d(draw))
-    return f"({numbers})" if np.ndim(draw) else numbers
+def _names(worst: list[dict[str, Any]]) -> list[str]:
+    return [*worst[0]["draws"]] if worst else []
+
+
+def _drawn(draws: list[Any]) -> list[str]:
+    """Format draws of a quantity, each component with digits that tell the bodies apart."""
+    columns = zip(*(apart([*component]) for component in zip(*map(np.ravel, draws))))
+    return [
+        f"({', '.join(texts)})" if np.ndim(draw) else texts[0]
+        for draw, texts in zip(draws, columns)
+    ]
 
 
 def _failures(dataset: Results) -> list[dict[str, Any]]:

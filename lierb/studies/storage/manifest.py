@@ -2,9 +2,10 @@
 
 Keys: `format`; `digest` of the study; `text`, SHA-256 of a study.toml that a run wrote, None where
 the user's own was there; `study`, its tables; `set`, the changes of the study's file; `machine`;
-`asked`, the number of parts; `stopped`, the last part of each setting of a study that ended by its
-rule; `code`, SHA-256 of each Python file; `functions`, fingerprints; `parts`, the finished ones:
-for each of their files `rows`, `sha256` and the number of failed trajectories by status.
+`asked`, the number of parts; `moved`, a sentence about starts that closing the loops has moved;
+`stopped`, the last part of each setting of a study that ended by its rule; `code`, SHA-256 of each
+Python file; `functions`, fingerprints; `parts`, the finished ones: for each of their files `rows`,
+`sha256` and the number of failed trajectories by status.
 """
 
 from __future__ import annotations

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -74,18 +73,16 @@ class Part:
     ) -> tuple[Batch, Result]:
         """Integrate the bodies; return them and the result, which numbers them from 0."""
         batch = study.batch(self.first, self.count, design)
-        own: dict[str, Any] = {}
-        if study.problem.controllers:  # noise depends on a trajectory's number in the study
-            numbers_of_all = np.arange(self.first, self.first + self.count)
-            own = {"seed": study.sample.seed, "trajectories": numbers_of_all}
-        options = study.options(self.setting, batch.problem, **own)
+        start = batch.start
+        pose0, twist0 = start.pop("pose0"), start.pop("twist0")
+        options = study.options(self.setting, batch.problem, **start)
         parameters = parameters_of(study, batch.problem)
         with warnings_collected():
             result = integrate_model(
                 batch.problem,
                 options,
-                batch.pose0,
-                batch.twist0,
+                pose0,
+                twist0,
                 with_respect_to=[p.name for p in parameters.values()],
                 threads=threads,
                 progress=progress or False,

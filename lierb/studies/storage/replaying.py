@@ -59,8 +59,9 @@ def only_setting(study: Study, given: dict[str, Any]) -> Setting:
         words = ", ".join(f"{key}={brief(value)}" for key, value in asked.items())
         listed = "; ".join(_named(study, setting) for setting in fitting or study.settings)
         what = "several settings" if fitting else "no setting"
+        choose = "choose one of" if len(study.settings) > 1 else "the only one is"
         raise ArgumentError(
-            f"{what} of the study {f'with {words}' if words else 'fit'}; choose one of {listed}"
+            f"{what} of the study {f'with {words}' if words else 'fit'}; {choose} {listed}"
         )
     return fitting[0]
 
@@ -72,9 +73,11 @@ def call_of(study: Study, setting: Setting, trajectory: int) -> str:
 
 
 def _named(study: Study, setting: Setting) -> str:
-    """Return the keywords that tell a setting from the study's others."""
+    """Return the keywords that tell a setting from the study's others; all of the only one."""
+    is_only = len(study.settings) == 1
     return ", ".join(
-        f"{key}={getattr(setting, key)!r}"
+        f"{key}={value!r}"
         for key in KEYS
-        if len({getattr(each, key) for each in study.settings}) > 1
+        if (value := getattr(setting, key)) is not None
+        and (is_only or len({getattr(each, key) for each in study.settings}) > 1)
     )

@@ -16,6 +16,7 @@ from filelock import FileLock, Timeout
 from lierb.errors import StudyError, StudyFileError
 from lierb.runs.provenance import machine
 from lierb.studies.description.code import FILE, Code, sha256_of_text
+from lierb.studies.description.moved_starts import moved_start
 from lierb.studies.description.study import Study
 from lierb.studies.description.study_tables import TABLES
 from lierb.studies.storage.files import File, Stored, parquet_in
@@ -100,6 +101,8 @@ class Store(Results):
             "text": None if is_there else sha256_of_text(text), "study": study.model_dump(),
             "set": dict(changes or {}), "machine": machine(), "asked": parts, "parts": {},
         }  # fmt: skip
+        if moved := moved_start(study):
+            self.manifest["moved"] = moved
         if study.files:
             self.manifest |= {"code": study.code_digests, "functions": study.fingerprints()}
         self._write_manifest()  # the manifest first: a study.toml without one is the user's

@@ -14,7 +14,7 @@ from lierb.model.joints.joint import Joint
 from lierb.model.mechanism.links import GROUND
 from lierb.sampling import inertia_of
 from lierb.studies.description.messages import called
-from lierb.studies.description.sections.fields import Frame, Numbers, Section, Twist, Vector
+from lierb.studies.description.sections.fields import Frame, Names, Numbers, Section, Twist, Vector
 from lierb.support.arrays import Array, as_floats
 
 POINTS = {  # points of a joint: the origins of these frames
@@ -134,12 +134,14 @@ class InitialSection(Section):
     coordinates, velocities : joint coordinates, in the order of `Joint.coordinate_names`, and their
         rates.
     rotation, place : 3×3, and m; joint frame of the body relative to that of the ground.
-    close : for a mechanism, which has no other key here. "auto" moves poses and twists that violate
-        constraints to the nearest consistent ones in the mass metric; "never" leaves them. Each
-        link's start is in its own table [problem.links.initial].
+    close : for a mechanism, which has no other key here but `hold`. "auto" moves poses and twists
+        that violate constraints to the nearest consistent ones in the mass metric; "never" leaves
+        them. Each link's start is in its own table [problem.links.initial].
+    hold : of a mechanism, the links whose given coordinates and velocities closing keeps.
     """
 
     close: Literal["auto", "never"] | None = None
+    hold: Names | None = None
     omega: Vector | None = None
     point_velocity: Vector | None = None
     twist: Twist | None = None

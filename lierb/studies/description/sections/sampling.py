@@ -112,9 +112,10 @@ SHAPES: dict[str, tuple[int, ...]] = dict.fromkeys(NUMBERS, ()) | {
     "rotation": (3, 3),
     "pose": (4, 4),
 }
+OF_MECHANISM = ("close", "hold")  # keys of [initial], which are no numbers
 KEYS: dict[str, tuple[str, ...]] = {
     "problem": ("gravity",),
-    "initial": tuple(k for k in InitialSection.model_fields if k != "close"),
+    "initial": tuple(k for k in InitialSection.model_fields if k not in OF_MECHANISM),
     "body": tuple(k for k in BodySection.model_fields if k not in ("solid", "about")),
     "joint": tuple(k for k in JointSection.model_fields if k not in NOT_DRAWN),
 }
