@@ -58,7 +58,7 @@ def over_time(dataset):
 
 
 def words(axes) -> list[str]:
-    return [text.get_text() for text in axes.texts]
+    return [*(text.get_text() for text in axes.texts), axes.get_title("right")]
 
 
 # ---- labels ------------------------------------------------------------------------------------

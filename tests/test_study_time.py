@@ -425,7 +425,7 @@ def test_report_tells_the_events(ending, tmp_path):
     assert "What happened" in page
     assert 'id="events"' in page
     steps = numbers(ending, "steps").sum() + numbers(ending, "rejected").sum()
-    assert f"{steps:.3g} body-steps" in page
+    assert f"{steps:,.0f} steps of a body".replace(",", " ") in page
 
 
 def test_rules_may_be_of_times_and_steps(whole):

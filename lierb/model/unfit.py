@@ -44,15 +44,14 @@ def unfit_place(rows: Rows, places: Iterable[Any], t0: float) -> PoseError | Non
 
 def unfit_constraint(
     rows: Rows, x: Kinematics, body: BodyConstants, label: Label, *, where: str = "",
-    has_twist: bool = False, member: int | None = None,
+    member: int | None = None,
 ) -> PoseError | None:  # fmt: skip
-    """Error for the first user's constraint that is not finite at a pose, or a derivative of it.
+    """Error for the first user's constraint that is not finite at a pose, or whose derivative is.
 
-    where : names of its links, for a mechanism.   has_twist : True if `x` has a twist, at which its
-    second derivative is checked too.   member : the only member to check.
+    where : names of its links, for a mechanism.   member : the only member to check.
     """
     for row in filter(lambda row: isinstance(row, UserRow), rows):
-        for what, number in _numbers_of(row, x, body, has_twist):
+        for what, number in _numbers_of(row, x, body):
             each = np.atleast_1d(plain(number))
             bad = np.flatnonzero(~np.isfinite(each))
             if member is not None and len(each) > 1:
@@ -67,14 +66,9 @@ def unfit_constraint(
     return None
 
 
-def _numbers_of(
-    row: Row, x: Kinematics, body: BodyConstants, has_twist: bool
-) -> Iterator[tuple[str, Any]]:
-    """Value and derivatives of a user's constraint, each with its name in messages."""
+def _numbers_of(row: Row, x: Kinematics, body: BodyConstants) -> Iterator[tuple[str, Any]]:
+    """Value and first derivatives of a user's constraint, each with its name in messages."""
     yield f"{row}", row.value(x, body)
     slope = f"the derivative of {row}" if row.is_holonomic else f"{row}"  # linear in the twist
     for number in row.jacobian(x, body):
         yield slope, number
-    if has_twist:
-        second = "the second derivative" if row.is_holonomic else "the derivative"
-        yield f"{second} of {row}", row.acceleration(x, body)

@@ -271,7 +271,7 @@ class RunStates(States):
                 f"{what}={name!r} is one of a history, which save_every= or save_at= keeps; "
                 f"without one there are {', '.join(least)}"
             )
-        if name in RESULTS:
+        if isinstance(name, str) and name in RESULTS:
             return UnknownNameError(f"{what}={brief(name)} is unknown; take {RESULTS[name]}")
         return unknown_name(what, name, known)
 

@@ -163,8 +163,10 @@ OF_DERIVATIVES = (
     "loops.tables.user_state",
     "mechanics.elements.moving",
     "mechanics.elements.second",
+    "mechanics.ground_motion.",
     "mechanics.newton_euler.principal_axes_at_point",
     "stepping.differentiable.",
+    "stepping.taped.",
     "systems.derivatives.",
     "systems.one_body.OneBody.body",
 )

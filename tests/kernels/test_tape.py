@@ -7,11 +7,12 @@ import pytest
 
 from lierb.kernels.groups import se3
 from lierb.kernels.numbers.arithmetic import absolute, maximum, minimum, sqrt, where
-from lierb.kernels.numbers.dual import Dual, parts_of
+from lierb.kernels.numbers.dual import Dual, parts_of, value_of
 from lierb.kernels.numbers.elimination import Factored
 from lierb.kernels.numbers.tape import Tape
 from lierb.kernels.numbers.trigonometry import atan2, sincos
 from lierb.kernels.numbers.zero import ZERO
+from lierb.kernels.stepping.taped import with_loop
 
 
 def products(x):
@@ -56,6 +57,17 @@ def test_gains_are_the_transposed_jacobian(formula, is_batch):
         along = [(parts_of(y) or (0.0,))[0] for y in formula(units)]
         expected = sum(w * (0.0 if p is ZERO else p) for w, p in zip(weights, along, strict=True))
         assert np.allclose(0.0 if gain is ZERO else gain, expected, rtol=1e-13, atol=1e-14)
+
+
+@pytest.mark.parametrize("formula", FORMULAS)
+def test_derivatives_in_a_loop_have_the_bits_of_parts(formula):
+    rng = np.random.default_rng(3)
+    at, parts = rng.uniform(0.2, 1.5, 4).tolist(), rng.standard_normal((4, 5)).tolist()
+    given = tuple(Dual(x, tuple(along)) for x, along in zip(at, parts, strict=True))
+    pairs = zip(formula(given), with_loop(formula, given), strict=True)
+    for expected, found in pairs:
+        assert value_of(found) == value_of(expected)
+        assert [*parts_of(found)] == [x if x is not ZERO else 0.0 for x in parts_of(expected)]
 
 
 def test_an_input_without_effect_has_a_structural_zero_as_gain():

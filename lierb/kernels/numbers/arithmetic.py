@@ -308,6 +308,21 @@ def rounded_as_numpy(number: Number) -> Iterator[None]:
 
 
 @contextmanager
+def recorded_on(tape: Any, number: Number) -> Iterator[None]:
+    """Let branches record the linear numbers of both sides on a tape, in a context.
+
+    number : as in `rounded_as_numpy`.
+    """
+    trace = class_of(type(number)).trace_of(number)
+    if trace is None:
+        yield
+        return
+    before, trace.tape = trace.tape, tape
+    yield
+    trace.tape = before
+
+
+@contextmanager
 def assumptions(number: Number) -> Iterator[list[Mask]]:
     """Assume, in a context, that the masks passed to `taken_for_granted` hold.
 

@@ -11,7 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from lierb.kernels.numbers.arithmetic import alike, class_of, flatten, plain
+from lierb.kernels.numbers.arithmetic import alike, flatten, plain, recorded_on
 from lierb.kernels.numbers.dual import Dual, parts_of, value_of, values
 from lierb.kernels.numbers.tape import Linear, Tape
 from lierb.kernels.numbers.zero import is_zero
@@ -80,10 +80,8 @@ def with_loop(formula: Callable[..., Any], *operands: Any) -> Any:
         rows.append(tuple(map(plain, x.parts)))
         return Dual(x.value, (tape.input(),))
 
-    trace = class_of(type(like)).trace_of(like)
-    before, trace.tape = trace.tape, tape
-    results = formula(*map(opened, operands))
-    trace.tape = before
+    with recorded_on(tape, like):
+        results = formula(*map(opened, operands))
     linear = [part for x in flatten(results) for part in parts_of(x) if isinstance(part, Linear)]
     along = tape.derivatives(linear, list(zip(*rows, strict=True)), like)
     derivatives = zip(*along, strict=True)

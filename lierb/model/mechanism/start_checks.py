@@ -188,7 +188,7 @@ def _pose_violation(start: Start, name: str, h: ConnectionState) -> PoseError | 
         return unfit
     pose = partial(start.members.label, "pose0")
     where = name[name.find(" (") :] if h.at.name else ""  # " (rod to ground)"
-    if unfit := unfit_constraint(h.at.rows, h.x, h.body, pose, where=where, has_twist=True):
+    if unfit := unfit_constraint(h.at.rows, h.x, h.body, pose, where=where):
         return unfit
     for member in wrong_way(h, start.members.size)[:1].tolist():
         return PoseError(reversed_joint(start.members.label("pose0", member), name, start.turned))
