@@ -145,7 +145,7 @@ SCENES = {  # joints of a body; q0 and v0 of MuJoCo; q0 of links relative to qpo
 RATES = {"two_1": 20.0, "two": 3.0, "cylindrical": (20.0, 1.0)}  # of joints that are none alone
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_far_stops_and_springs_act_where_those_of_the_file_do(tmp_path):
     """Bodies beside each other, on joints that have nothing to do with each other."""
     bodies, q0, v0, coordinates, rates = "", [], [], {}, {}
@@ -214,7 +214,7 @@ def equality(own, other=None, polynomial=(0.3, 0.0)):
     return f'<joint joint1="{own}" {second} polycoef="{numbers}"/>'
 
 
-LONG = {"itself", "wheel"}
+LONG = {"itself", "wheel", "held", "screw"}
 
 
 @pytest.mark.slow
@@ -277,7 +277,7 @@ MIMICS = (  # child, parent, kind, axis; joint that it mimics, multiplier and of
 )
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_mimics_of_mimics_keep_their_ratios(tmp_path):
     """A slide mimics a hinge that mimics one that mimics another; the start has the offsets."""
     path, rows = tmp_path / "robot.urdf", []

@@ -142,7 +142,7 @@ def geared_loop():
     return mechanism, {"pose0": pose0, "twist0": mechanism.project(twist0, pose0)}
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_gears_on_loops_beside_motors_and_constraints_act_as_by_unrolled_formulas():
     agree(*geared_loop(), stabilise="project")
 
