@@ -15,7 +15,7 @@ runs = [
     )
     for cspace in ("SE3", "SO3xR3")
 ]  # fmt: skip
-animation = lierb.animate(runs, magnify=1e5, title="heavy top, RK4, dt = 5 ms")
+animation = lierb.animate(runs, magnify=1e4, title="heavy top, RK4, dt = 5 ms")
 
 if sys.argv[1:]:
     animation.save(sys.argv[1])
