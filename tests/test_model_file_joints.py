@@ -230,7 +230,7 @@ def test_coupled_joints_of_one_body_are_those_of_the_file(tmp_path, scene):
     assert_same_end(mechanism, coordinates, rates, 0.4, right, "auto")
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_motor_holds_a_link_without_mass_in_looped_code(tmp_path):
     bodies, row, q0, v0, coordinates, rates = COUPLED["held"]
     path, mechanism, _ = read(tmp_path, bodies, equality(*row))

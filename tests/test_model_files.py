@@ -1076,8 +1076,7 @@ def test_a_path_that_is_none_is_refused(tmp_path):
 
 def test_the_page_on_model_files_names_what_replaces_what_is_left_out(tmp_path):
     """Its cells run: friction, an actuator and an armature that the file would have."""
-    with pytest.warns(LeftOutWarning):
-        names = names_of("../howto/model_files", tmp_path)
+    names = names_of("../howto/model_files", tmp_path)
     arm, driven = names["arm"], names["driven"]
     added = [(force.name, *force.at) for force in driven.forces[len(arm.forces) :]]
     friction = [("joint_friction", "upper"), ("joint_friction", "lower")]

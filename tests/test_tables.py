@@ -148,7 +148,7 @@ def test_multiplier_units_are_those_of_the_rows():
     assert field.type.list_size == 5
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_state_may_have_another_shape_in_the_next_run():
     """Schemas are kept from run to run, by names and shapes."""
 

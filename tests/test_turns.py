@@ -99,7 +99,7 @@ RATES = np.array([5.0, 7.0, 11.0])
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("solver", ["auto", "looped"])
+@pytest.mark.parametrize("solver", ["auto", pytest.param("looped", marks=pytest.mark.long)])
 def test_stops_many_turns_apart_are_met(solver):
     """Right: half an oscillation in each stop, straight flight in between (closed form)."""
     lower, upper = STOPS
