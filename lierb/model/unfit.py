@@ -18,26 +18,30 @@ Label = Callable[[int], str]  # name of a member's pose in messages
 
 def unfit_rate(rows: Rows, rates: Iterable[Any], t0: float) -> TwistError | None:
     """Error for the first prescribed rate, such as a motor's speed, that is not finite at t0."""
-    for row, rate in zip(rows, rates, strict=True):
-        each = np.atleast_1d(plain(rate))
-        for body in np.flatnonzero(~np.isfinite(each))[:1]:
-            return TwistError(
-                f"{body_label('the speed', int(body), each.size)} that {row} prescribes is "
-                f"{each[body]} {'m/s' if row.is_translational else 'rad/s'} at t0={t0:g} s, and no "
-                "twist has it; give a function that has a value there, or another t0"
-            )
-    return None
+    message = _unfit(rows, rates, t0, "the speed", "/s", "twist")
+    return TwistError(message) if message else None
 
 
 def unfit_place(rows: Rows, places: Iterable[Any], t0: float) -> PoseError | None:
     """Error for the first prescribed position of a motor that is not finite at t0."""
-    for row, place in zip(rows, places, strict=True):
-        each = np.atleast_1d(plain(place))
+    message = _unfit(rows, places, t0, "the position", "", "pose")
+    return PoseError(message) if message else None
+
+
+def _unfit(
+    rows: Rows, numbers: Iterable[Any], t0: float, what: str, per: str, start: str
+) -> str | None:
+    """Message for the first prescribed number that is not finite at t0.
+
+    per : "/s" for rates.   start : what would have to have the number.
+    """
+    for row, number in zip(rows, numbers, strict=True):
+        each = np.atleast_1d(plain(number))
         for body in np.flatnonzero(~np.isfinite(each))[:1]:
-            return PoseError(
-                f"{body_label('the position', int(body), each.size)} that {row} prescribes is "
-                f"{each[body]} {'m' if row.is_translational else 'rad'} at t0={t0:g} s, and no "
-                "pose has it; give a function that has a value there, or another t0"
+            return (
+                f"{body_label(what, int(body), each.size)} that {row} prescribes is "
+                f"{each[body]} {'m' if row.is_translational else 'rad'}{per} at t0={t0:g} s, and "
+                f"no {start} has it; give a function that has a value there, or another t0"
             )
     return None
 

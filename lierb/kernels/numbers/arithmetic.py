@@ -9,7 +9,7 @@ without a `rank` belong to `Plain`.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from functools import cache, partial, wraps
 from typing import Any
 
@@ -293,33 +293,32 @@ def apart(count: int) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
 
 
 @contextmanager
-def rounded_as_numpy(number: Number) -> Iterator[None]:
+def _setting(number: Number, name: str, value: Any) -> Iterator[None]:
+    """Change a setting of a number's trace in a context; without a trace there is none."""
+    trace = class_of(type(number)).trace_of(number)
+    if trace is None:
+        yield
+        return
+    before = getattr(trace, name)
+    setattr(trace, name, value)
+    yield
+    setattr(trace, name, before)
+
+
+def rounded_as_numpy(number: Number) -> AbstractContextManager[None]:
     """Let `fma` round twice in a context, so that a formula has the same bits as on arrays.
 
     number : one of the formula's numbers; the setting applies to its trace.
     """
-    trace = class_of(type(number)).trace_of(number)
-    if trace is None:
-        yield
-        return
-    before, trace.rounds_twice = trace.rounds_twice, True
-    yield
-    trace.rounds_twice = before
+    return _setting(number, "rounds_twice", True)
 
 
-@contextmanager
-def recorded_on(tape: Any, number: Number) -> Iterator[None]:
+def recorded_on(tape: Any, number: Number) -> AbstractContextManager[None]:
     """Let branches record the linear numbers of both sides on a tape, in a context.
 
     number : as in `rounded_as_numpy`.
     """
-    trace = class_of(type(number)).trace_of(number)
-    if trace is None:
-        yield
-        return
-    before, trace.tape = trace.tape, tape
-    yield
-    trace.tape = before
+    return _setting(number, "tape", tape)
 
 
 @contextmanager
