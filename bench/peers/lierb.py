@@ -25,6 +25,11 @@ FORMS = {
         "reduced", 65536, "lierb, reduced, DOP853", accuracy=1 / 48,
         accuracies=(1 / 12, 1 / 24, 1 / 48, 1 / 72, 1 / 96, 1 / 144, 1 / 192),
     ),
+    "reduced-ambient": Form("reduced", 65536, "lierb, reduced, ambient"),
+    "reduced-ambient-dop853": Form(
+        "reduced", 65536, "lierb, reduced, DOP853, ambient", accuracy=1 / 48,
+        accuracies=(1 / 24, 1 / 48, 1 / 96, 1 / 192),
+    ),
     **{
         f"reduced-adaptive{end}": Form(
             "reduced", 65536, f"lierb, reduced, {method}, adaptive", adaptive=True, accuracy=1e-8,
@@ -48,6 +53,8 @@ OPTIONS = {
     "reduced": {"cspace": "reduced"},
     "gain": {},
     "reduced-dop853": {"cspace": "reduced", "method": "DOP853"},
+    "reduced-ambient": {"cspace": "reduced", "update": "ambient"},
+    "reduced-ambient-dop853": {"cspace": "reduced", "method": "DOP853", "update": "ambient"},
     **{
         f"reduced-adaptive{end}": {"cspace": "reduced", "method": method}
         for end, method in ADAPTIVE.items()

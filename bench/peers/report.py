@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import cycle
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,7 @@ FAMILIES = {
 # every stage, and one that, as lierb's compiler does, takes what is constant out of the loop.
 PAIRS = {
     "reduced, spherical": ("lierb/reduced", "cpp/reduced"),
+    "reduced, spherical, ambient": ("lierb/reduced-ambient", "cpp/reduced-quaternion"),
     "constant gain, spherical": ("lierb/gain", "cpp/reduced"),
     "saddle point, spherical (3 rows)": ("lierb/saddle", "cpp/general", "cpp/general-fixed"),
     "saddle point, revolute (5 rows)": (
@@ -27,6 +29,7 @@ PAIRS = {
         "lierb/saddle-universal", "cpp/general-universal", "cpp/general-fixed-universal",
     ),
     "DOP853, reduced, 48 steps a second": ("lierb/reduced-dop853", "cpp/reduced-dop853"),
+    "the same, ambient": ("lierb/reduced-ambient-dop853", "cpp/reduced-dop853"),
 }  # fmt: skip
 
 
@@ -192,7 +195,7 @@ def draw(run: dict[str, Any], path: Path) -> None:
     figure, axes = plt.subplots(1, 2, figsize=(12, 7.5), sharey=True, layout="constrained")
     for ax, (family, title) in zip(axes, FAMILIES.items(), strict=True):
         curves = [(n, e, _curve(e)) for n, e in run["entries"].items() if e["family"] == family]
-        styles = iter(STYLES)
+        styles = cycle(STYLES)
         for name, entry, points in curves:
             if len(points) < 2:
                 continue
