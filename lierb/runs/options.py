@@ -218,11 +218,11 @@ def _check_limits(method: Method, limits: Limits, model: Model, timing: Timing) 
                 "explicit method or a Rosenbrock method"
             )
     for row in (row for _, rows in model.rows_by_name for row in rows):
-        if row.depends_on_time or not row.is_holonomic:
-            what = "prescribes a motion" if row.depends_on_time else "is one of velocities"
+        if not row.is_holonomic:
+            hint = "give the motor's position, or " if row.depends_on_time else ""
             raise ArgumentError(
-                f"{name} is for constraints of the pose, but {row} {what}; take an explicit method "
-                "or a Rosenbrock method"
+                f"{name} is for constraints of the pose, but {row} is one of velocities; "
+                f"{hint}take an explicit method or a Rosenbrock method"
             )
         if not (row.is_of_joint or limits.takes_constraints):
             raise ArgumentError(

@@ -117,6 +117,10 @@ class Row:
         """Prescribed value of J V."""
         return ZERO
 
+    def prescribed_slope(self, x: Kinematics, body: HeldBody) -> Number:
+        """Derivative of the prescribed rate by time."""
+        return ZERO
+
     def prescribed_place(self, x: Kinematics, body: HeldBody) -> Number:
         """Prescribed coordinate of a row that depends on time."""
         return ZERO

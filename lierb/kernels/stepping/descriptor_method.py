@@ -4,7 +4,7 @@ Index 3 has constraints of the position alone, the stabilised index 2 also those
 and unknowns η for them. A method says how the end depends on V̇₁, by numbers x, x′, v and v′:
 
     C₁ = C₀ exp(x + x′ (V̇₁ − J₀ᵀη)),   V₁ = v + v′ V̇₁,
-    M V̇₁ + J₁ᵀλ₁ = ad_V₁ᵀ M V₁ + W₁,   h(C₁) = 0,   and with index 2 J₁ V₁ = 0.
+    M V̇₁ + J₁ᵀλ₁ = ad_V₁ᵀ M V₁ + W₁,   h(C₁, t₁) = 0,   and with index 2 J₁ V₁ = w(t₁).
 
 A step passes V̇, numbers of the method's own and λ on to the next one. The iteration begins with V̇
 and λ.
@@ -56,7 +56,7 @@ class DescriptorMethod(UnestimatedMethod):
         n, m = form.width, form.rows
         predicted = self.predicted(state, at.h)
         to_x, to_v = predicted.to_x, predicted.to_v
-        before = form.constraints(state.chart)
+        before = form.constraints(state.chart, at.time)
         dependent = form.dependent(before)
 
         def end(unknowns: Vec) -> tuple[Vec, Any, Vec]:
@@ -68,7 +68,7 @@ class DescriptorMethod(UnestimatedMethod):
 
         def residual(unknowns: Vec) -> Vec:
             _, chart, velocity = end(unknowns)
-            constraints = form.constraints(chart)
+            constraints = form.constraints(chart, time)
             pushes = add(form.gyroscopic(velocity), form.applied(chart, velocity, time).wrench)
             balance = sub(form.momentum(unknowns[:n]), pushes)
             balance = add(balance, constraints.force(unknowns[n : n + m]))
@@ -97,8 +97,8 @@ def with_work(form: Descriptor, before: State, after: State, at: Interval) -> St
     """Return the state after a step with the work of its forces, by the trapezoidal rule."""
     if not form.plan.does_work:
         return after
-    first = form.applied(before.chart, before.v_or_mu, at.time).power
-    last = form.applied(after.chart, after.v_or_mu, at.time + at.span).power
+    first = form.power(before.chart, before.v_or_mu, at.time)
+    last = form.power(after.chart, after.v_or_mu, at.time + at.span)
     return after._replace(work=fma(0.5 * at.h, first + last, before.work))
 
 

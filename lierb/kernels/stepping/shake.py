@@ -44,20 +44,20 @@ class Shake(UnestimatedMethod):
         form = descriptor_of(system, body)
         wrench = form.applied(state.chart, state.v_or_mu, at.time).wrench
         momentum = axpy(0.5 * at.h, wrench, form.momentum(state.v_or_mu))
-        solved, _ = displacement(form, state, momentum, at.h)
+        solved, _ = displacement(form, state, momentum, at.h, at.time + at.span)
         return state._replace(carried=(*solved.unknowns[: form.width], solved.unsolved))
 
     def step(
         self, system: Any, body: Any, state: State, at: Interval, all_stages: bool = False
     ) -> Step:
-        form, inverse = descriptor_of(system, body), 1.0 / at.h
+        form, inverse, time = descriptor_of(system, body), 1.0 / at.h, at.time + at.span
         x, failed = state.carried[:-1], state.carried[-1]
         velocity = axpy(2.0 * inverse, x, neg(state.v_or_mu))
         there = state._replace(chart=form.moved(state.chart, x), v_or_mu=velocity)
-        wrench = form.applied(there.chart, velocity, at.time + at.span).wrench
+        wrench = form.applied(there.chart, velocity, time).wrench
         before = scale(inverse, form.pulled(neg(x), form.momentum(x)))
         momentum = axpy(at.h, wrench, before)
-        solved, dependent = displacement(form, there, momentum, at.h)
+        solved, dependent = displacement(form, there, momentum, at.h, time + at.span)
         after = solved.unknowns[: form.width]
         momenta = add(before, scale(inverse, form.pulled(after, form.momentum(after))))
         mass = Factored([list(column) for column in form.mass_matrix()])

@@ -1,8 +1,9 @@
 """The descriptor form of the equations of motion keeps constraints as equations.
 
-    M V̇ + Jᵀλ = ad_Vᵀ M V + W,   h(C) = 0,   J V = 0
+    M V̇ + Jᵀλ = ad_Vᵀ M V + W,   h(C, t) = 0,   J V = w(t)
 
-on SE(3) or SO(3)×R³. Methods that keep h(C) = 0 step this form. That of a body is at its frame's
+on SE(3) or SO(3)×R³; w is the rate of a motor of given position. Methods that keep h = 0 step this
+form. That of a body is at its frame's
 origin; `lierb.kernels.systems.tree_descriptor` has that of a mechanism.
 """
 
@@ -43,10 +44,14 @@ from lierb.kernels.systems.plan import Plan
 
 
 class Constraints(NamedTuple):
-    """Constraints have values h and a Jacobian J, row by row.   width : number of columns of J."""
+    """Constraints have values h, a Jacobian J and prescribed rates w, row by row.
+
+    width : number of columns of J.
+    """
 
     values: Vec
     jacobian: tuple[Vec, ...]
+    prescribed: Vec
     width: int = 6
 
     def force(self, multipliers: Vec) -> Vec:
@@ -58,8 +63,9 @@ class Constraints(NamedTuple):
         return result
 
     def rates(self, velocity: Vec) -> Vec:
-        """Return J V."""
-        return tuple(dot(row, velocity) for row in self.jacobian)
+        """Return J V − w."""
+        pairs = zip(self.jacobian, self.prescribed, strict=True)
+        return tuple(dot(row, velocity) - w for row, w in pairs)
 
 
 class Descriptor:
@@ -123,8 +129,16 @@ class Descriptor:
         """Return ad_Vᵀ M V."""
         raise NotImplementedError
 
-    def constraints(self, chart: Any) -> Constraints:
+    def constraints(self, chart: Any, time: Any) -> Constraints:
         raise NotImplementedError
+
+    def power(self, chart: Any, velocity: Vec, time: Any) -> Any:
+        """Return the power of forces without potential and of motors of given position, W."""
+        power = self.applied(chart, velocity, time).power
+        if any(row.depends_on_time for row in self.plan.rows):
+            rates = self.constraints(chart, time).prescribed
+            power = power - dot(rates, self.accelerations(chart, velocity, time)[1])
+        return power
 
     def accelerations(self, chart: Any, velocity: Vec, time: Any) -> tuple[Vec, Vec]:
         """Return V̇ and λ."""
@@ -198,11 +212,13 @@ class BodyDescriptor(Descriptor):
     def gyroscopic(self, velocity: Vec) -> Vec:
         return spun(velocity, self.momentum(velocity), self.is_mixed)
 
-    def constraints(self, chart: Chart) -> Constraints:
+    def constraints(self, chart: Chart, time: Any) -> Constraints:
         x = self.plan.space.kinematics(self.body, quaternion.pose(chart), ZERO6)
+        x = x._replace(time=time)
         values = smooth_residuals(self.plan.rows, x, self.body)
         jacobian = tuple(row.jacobian(x, self.body) for row in self.plan.rows)
-        return Constraints(tuple(values), jacobian)
+        rates = tuple(row.prescribed_rate(x, self.body) for row in self.plan.rows)
+        return Constraints(tuple(values), jacobian, rates)
 
     def accelerations(self, chart: Chart, velocity: Vec, time: Any) -> tuple[Vec, Vec]:
         solution = accelerate(self.plan, self.body, chart, velocity, time)

@@ -6,10 +6,13 @@ couples two nodes.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 from lierb.kernels.mechanics.constraints import smooth_residuals
 from lierb.kernels.mechanics.elements import Applied
+from lierb.kernels.mechanics.newton_euler import Kinematics
+from lierb.kernels.mechanics.rows import HeldBody, Row
 from lierb.kernels.mechanics.tree import GROUND, TreeConstants, TreeMotion, root_of
 from lierb.kernels.mechanics.tree_rows import NodeRow
 from lierb.kernels.numbers.dual import Dual, lifted, parts_of, value_of
@@ -19,6 +22,7 @@ from lierb.kernels.numbers.vec import (
     add,
     axpy,
     cross_add,
+    dot,
     mat_t_vec,
     mat_vec,
     neg,
@@ -34,6 +38,7 @@ from lierb.kernels.systems.descriptor import (
     spun,
 )
 from lierb.kernels.systems.plan import MechanismPlan
+from lierb.kernels.systems.relatives import Relatives
 from lierb.kernels.systems.tree_charts import Charts
 from lierb.kernels.systems.tree_inputs import charts_of, sixes
 from lierb.kernels.systems.tree_system import TreeFormulation
@@ -93,19 +98,32 @@ class TreeDescriptor(Descriptor):
             spun(v, self._momentum(i, v), self._is_mixed(i)) for i, v in enumerate(sixes(velocity))
         )
 
-    def constraints(self, chart: Charts) -> Constraints:
-        motion = self.system.motion_at(self.body, chart, None, ZERO)
-        relatives = self.system.relatives(self.body, motion)
+    def constraints(self, chart: Charts, time: Any) -> Constraints:
+        relatives = self._relatives(chart, time)
         values: list[Any] = []
         jacobian: list[Vec] = []
         for number, connection in enumerate(self.plan.connections):
             if not connection.rows:
                 continue
-            x, ends = relatives[number].x, self.body.ends[number]
-            values += smooth_residuals(connection.rows, x, ends)
+            values += smooth_residuals(connection.rows, relatives[number].x, self.body.ends[number])
             equations = (relatives.equation(number, row, ZERO) for row in connection.rows)
-            jacobian += (self._row(motion, equation) for equation in equations)
-        return Constraints(tuple(values), tuple(jacobian), self.width)
+            jacobian += (self._row(relatives.motion, equation) for equation in equations)
+        rates = self._of_rows(relatives, lambda row, x, ends: row.prescribed_rate(x, ends))
+        return Constraints(tuple(values), tuple(jacobian), rates, self.width)
+
+    def _relatives(self, chart: Charts, time: Any) -> Relatives:
+        motion = self.system.motion_at(self.body, chart, None, time)
+        return self.system.relatives(self.body, motion)
+
+    def _of_rows(
+        self, relatives: Relatives, number_of: Callable[[Row, Kinematics, HeldBody], Any]
+    ) -> Vec:
+        """Return a number of each row, of its motion and its frames."""
+        return tuple(
+            number_of(row, relatives[number].x, self.body.ends[number])
+            for number, connection in enumerate(self.plan.connections)
+            for row in connection.rows
+        )
 
     def _row(self, motion: TreeMotion, equation: NodeRow) -> Vec:
         """Return a row of J."""
@@ -116,11 +134,16 @@ class TreeDescriptor(Descriptor):
         return _joined(parts)
 
     def accelerations(self, chart: Charts, velocity: Vec, time: Any) -> tuple[Vec, Vec]:
-        constraints = self.constraints(chart)
+        constraints = self.constraints(chart, time)
         along = (value_of(v) for v in velocity)  # without parts if it is `lifted`
         turning = self.moved(chart, tuple(Dual(0.0 * v, (v,)) for v in along))
-        rates = self.constraints(turning).rates(velocity)
-        bends = tuple(-sum(lifted(parts_of(rate)), start=ZERO) for rate in rates)
+        slopes = self._of_rows(
+            self._relatives(chart, time), lambda row, x, ends: row.prescribed_slope(x, ends)
+        )
+        bends = tuple(
+            slope - sum(lifted(parts_of(dot(row, velocity))), start=ZERO)
+            for row, slope in zip(self.constraints(turning, time).jacobian, slopes, strict=True)
+        )
         wrench = add(self.gyroscopic(velocity), self.applied(chart, velocity, time).wrench)
         consistent = self.consistent(constraints, self.dependent(constraints))
         solution = consistent.solve((*wrench, *bends))

@@ -126,17 +126,20 @@ class PrescribedRow(AxisRow):
         given = self.element.at(self.placed(body), UserNumber(plain(x.time), (1.0,)))
         return slope_of(given)
 
+    def acceleration(self, x: Kinematics, body: HeldBody) -> Any:
+        return self.bend(x, body) + self.prescribed_slope(x, body)
+
 
 class SpeedRow(PrescribedRow):
     """Constraint row q̇ = w(t), q the angle or the slide."""
 
     is_holonomic = False
 
-    def acceleration(self, x: Kinematics, body: HeldBody) -> Any:
-        return self.bend(x, body) + self.slope(x, body)
-
     def prescribed_rate(self, x: Kinematics, body: HeldBody) -> Any:
         return self.given(x, body)
+
+    def prescribed_slope(self, x: Kinematics, body: HeldBody) -> Any:
+        return self.slope(x, body)
 
 
 class PositionRow(PrescribedRow):
@@ -145,10 +148,10 @@ class PositionRow(PrescribedRow):
     def value(self, x: Kinematics, body: HeldBody) -> Any:
         return self.distance(x, self.given(x, body))
 
-    def acceleration(self, x: Kinematics, body: HeldBody) -> Any:
+    def prescribed_slope(self, x: Kinematics, body: HeldBody) -> Any:
         own = constant_in_time(self.placed(body))
         moving = self.element.at(own, second(x.time, 1.0, ZERO))
-        return self.bend(x, body) + slope_of(slope_of(moving))
+        return slope_of(slope_of(moving))
 
     def prescribed_rate(self, x: Kinematics, body: HeldBody) -> Any:
         return self.slope(x, body)
