@@ -370,15 +370,16 @@ def _result(
     model, plan = prepared.model, prepared.plan
     record, saves = prepared.options.record, prepared.options.timing.saves
     history = history_table(output, record, plan, metadata, model) if saves else None
+    events = events_table(output, metadata, model) if model.events else None
     of_run: Any = None
     if derivatives is not None:
         of_run = Untabled(derivatives, model)
         if has_tables:
-            of_run = sensitivities(derivatives, output, model, history, metadata)
+            of_run = sensitivities(derivatives, output, model, history, events, metadata)
     return Result(
         summary_table(output, metadata, model),
         history,
         End(model, plan, output, STATUS_NAMES, metadata),
-        events_table(output, metadata, model) if model.events else None,
+        events,
         of_run,
     )

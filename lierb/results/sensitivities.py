@@ -37,10 +37,14 @@ class Sensitivities(NamedTuple):
         Derivatives at the end of each trajectory, in the rows of `Result.summary`.
     history : pyarrow.Table or None
         Derivatives at the saved times, in the rows of `Result.history`.
+    events : pyarrow.Table or None
+        Derivatives at the events, in the rows of `Result.events`; those of the event's time are
+        `t/…`, and all others include its change.
     """
 
     summary: pa.Table
     history: pa.Table | None = None
+    events: pa.Table | None = None
 
     @property
     def quantities(self) -> tuple[str, ...]:
@@ -72,9 +76,7 @@ class Sensitivities(NamedTuple):
             pairs = (name.partition(SEPARATOR) for name in table.column_names)
             return table.rename_columns([f"{of}{by}{new.get(p, p)}" for of, by, p in pairs])
 
-        return Sensitivities(
-            renamed(self.summary), None if self.history is None else renamed(self.history)
-        )
+        return Sensitivities(*(table if table is None else renamed(table) for table in self))
 
 
 class Untabled:
@@ -107,26 +109,44 @@ class _Quantity(NamedTuple):
     unit: str
 
 
+TIME = _Quantity("t", slice(0, 1), (), "s")
+
+
 def sensitivities(
-    derivatives: Derivatives, output: Output, model: Model, history: pa.Table | None, metadata: str
+    derivatives: Derivatives,
+    output: Output,
+    model: Model,
+    history: pa.Table | None,
+    events: pa.Table | None,
+    metadata: str,
 ) -> Sensitivities:
-    """Return the tables of derivatives.   history : of the run, whose rows they share."""
+    """Return the tables of derivatives.   history, events : of the run, whose rows they share."""
     count = len(output.status)
     columns = {"trajectory": numbers(np.arange(count, dtype=np.int64)), "t": numbers(output.t)}
     fields = [pa.field(name, array.type) for name, array in columns.items()]
     ends = [*_columns(derivatives, derivatives.ends, model)]
     if any(event.terminal for event in model.events):
-        times = _Quantity("t", slice(0, 1), (), "s")
-        ends += _of(derivatives, times, derivatives.times[None])
-    summary = _table([*zip(fields, columns.values(), strict=True)], ends, metadata)
-    if history is None:
-        return Sensitivities(summary)
-    same = [(history.schema.field(n), history[n]) for n in ("trajectory", "step", "t")]
-    rows = derivatives.rows.reshape(*derivatives.rows.shape[:2], -1)
-    return Sensitivities(summary, _table(same, [*_columns(derivatives, rows, model)], metadata))
+        ends += _of(derivatives, TIME, derivatives.times[None])
+    first = [*zip(fields, columns.values(), strict=True)]
+    tables: list[pa.Table | None] = [_table(first, ends, metadata), None, None]
+    if history is not None:
+        rows = derivatives.rows.reshape(*derivatives.rows.shape[:2], -1)
+        same = _same(history, ("trajectory", "step", "t"))
+        tables[1] = _table(same, [*_columns(derivatives, rows, model)], metadata)
+    if events is not None:
+        at_events = [
+            *_columns(derivatives, derivatives.events, model),
+            *_of(derivatives, TIME, derivatives.event_times[None]),
+        ]
+        tables[2] = _table(_same(events, ("trajectory", "event", "t")), at_events, metadata)
+    return Sensitivities(*tables)
 
 
 Column = tuple[pa.Field, pa.Array]
+
+
+def _same(table: pa.Table, names: Sequence[str]) -> list[Column]:
+    return [(table.schema.field(name), table[name]) for name in names]
 
 
 def _table(first: list[Column], rest: list[Column], metadata: str) -> pa.Table:
@@ -165,8 +185,9 @@ def _quantities(columns: Columns, model: Model) -> Iterator[_Quantity]:
     for name, shape, unit in model.signals:
         yield _Quantity(name, slice(start, start + prod(shape)), shape, unit)
         start += prod(shape)
-    energy = next(measure for measure in MEASURES if measure.name == "energy")
-    yield _Quantity(energy.name, columns["energy"], (), energy.unit)
+    for measure in MEASURES:
+        if measure.name == "energy" or (measure.name == "work" and columns.field("work").width):
+            yield _Quantity(measure.name, columns[measure.name], (), measure.unit)
     for i, each in enumerate(model.observables, columns["observables"].start):
         yield _Quantity(each.name, slice(i, i + 1), (), each.unit)
     start = columns["multipliers"].start

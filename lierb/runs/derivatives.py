@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lierb.errors import ArgumentError
 from lierb.kernels.systems.layout import FEW_DIRECTIONS, MANY_DIRECTIONS, Columns
@@ -35,6 +36,8 @@ class Derivatives(NamedTuple):
     last one may have more than there are.
     ends : at the end of each trajectory, [column][direction][trajectory].
     times : of the end times, s, [direction][trajectory]; zero but for ends by events.
+    events : at the events, [column][direction][event].   event_times : of their times, s,
+        [direction][event].
     """
 
     parameters: tuple[Parameter, ...]
@@ -42,6 +45,8 @@ class Derivatives(NamedTuple):
     parts: tuple[Array, ...]
     ends: Array
     times: Array
+    events: Array
+    event_times: Array
 
     @property
     def rows(self) -> Array:
@@ -140,20 +145,16 @@ def integrate_with_derivatives(
     abreast = _abreast(len(directions), is_looped)
     differentiated = plan_with_derivatives(plan, moving, abreast)
     starts = range(0, len(directions), abreast)
-    whole: Output | None = None
-    rows, ends = [], []
+    outputs: list[Output] = []
     for number, first in enumerate(starts):
         seeds = _seeds(inputs.columns, moving, directions[first : first + abreast], abreast)
         output = engine.integrate(
             differentiated, replace(inputs, seeds=seeds), ready.times, with_state, threads,
             _part_of(progress, number, len(starts)), check,
         )  # fmt: skip
-        check, whole = None, whole or output
-        rows.append(output.derivatives)
-        ends.append(output.end_derivatives)
-    assert whole is not None
-    whole = replace(whole, plan=plan)
-    return whole, _together(ready, differentiated, parameters, whole, rows, ends)
+        check = None
+        outputs.append(output)
+    return replace(outputs[0], plan=plan), _together(ready, differentiated, parameters, outputs)
 
 
 def _abreast(directions: int, is_looped: bool) -> int:
@@ -210,47 +211,51 @@ def _seeds(
 
 
 def _together(
-    ready: Ready,
-    plan: AnyPlan,
-    parameters: tuple[Parameter, ...],
-    output: Output,
-    of_rows: list[Array],
-    of_ends: list[Array],
+    ready: Ready, plan: AnyPlan, parameters: tuple[Parameter, ...], outputs: list[Output]
 ) -> Derivatives:
-    """Join the derivatives of all runs.   output : of the first of them."""
+    """Join the derivatives of all runs.   outputs : with equal values, along other directions."""
     columns, count = derivatives_of(plan), sum(p.size for p in parameters)
     n, rows = ready.inputs.count, ready.times.saved_rows
     whole = columns.count * plan.directions
 
-    def shaped(arrays: list[Array], *shape: int) -> tuple[Array, ...]:
-        return tuple(
-            each[:whole].reshape(columns.count, plan.directions, *shape) for each in arrays
-        )
+    def shaped(arrays: Iterable[Array], *shape: int) -> list[Array]:
+        return [each[:whole].reshape(columns.count, plan.directions, *shape) for each in arrays]
 
-    ends = np.concatenate(shaped(of_ends, n), axis=1)[:, :count]
+    def joined(arrays: list[Array]) -> Array:
+        together = np.concatenate(shaped(arrays, arrays[0].shape[-1]), axis=1)
+        return np.asarray(together[:, :count])
+
+    of_rows = shaped((each.derivatives for each in outputs), rows, n)
+    ends = joined([each.end_derivatives for each in outputs])
     times = np.zeros((count, n))
+    events, event_times = np.zeros((columns.count, count, 0)), np.zeros((count, 0))
+    first = columns["events"].start
     if events_of(plan):
-        _end_at_events(ready, output, columns, ends, times, of_ends[0][whole:])
-    return Derivatives(parameters, columns, shaped(of_rows, rows, n), ends, times)
+        pairs = np.array([*ending_events(ready, outputs[0])], dtype=int).reshape(-1, 2)
+        at, which = pairs.T
+        in_time = outputs[0].end_derivatives[whole:, at]
+        ends[:, :, at], times[:, at] = _at_events(ends[:, :, at], in_time, first + which)
+        found: Any = outputs[0].events
+        of_events: list[Any] = [each.event_derivatives for each in outputs]
+        which = found[:, 1].astype(int)
+        events, event_times = _at_events(joined(of_events), of_events[0][whole:], first + which)
+    return Derivatives(parameters, columns, tuple(of_rows), ends, times, events, event_times)
 
 
-def _end_at_events(
-    ready: Ready, output: Output, columns: Columns, ends: Array, times: Array, in_time: Array
-) -> None:
-    """Add the change of the end time where an event g has ended a trajectory.
+def _at_events(
+    derivatives: Array, in_time: Array, values: NDArray[np.int64]
+) -> tuple[Array, Array]:
+    """Return derivatives at events, whose times change, and those of the times.
 
-    ∂t = −∂g/ġ by the implicit function theorem, and ∂x + ẋ ∂t for all quantities.
+    ∂t = −∂g/ġ by the implicit function theorem for an event g, and ∂x + ẋ ∂t for all quantities.
 
-    ends : derivatives at a fixed time, changed in place.   times : likewise.
-    in_time : time derivatives, [column][trajectory].
+    derivatives : at fixed times, [column][direction][event].
+    in_time : time derivatives, [column][event].   values : column of each event's g.
     """
-    for trajectory, event in ending_events(ready, output):
-        value = columns["events"].start + event
-        with np.errstate(divide="ignore", invalid="ignore"):  # an event that only touches zero
-            times[:, trajectory] = -ends[value, :, trajectory] / in_time[value, trajectory]
-            ends[:, :, trajectory] += np.multiply.outer(
-                in_time[:, trajectory], times[:, trajectory]
-            )
+    at = np.arange(len(values))
+    with np.errstate(divide="ignore", invalid="ignore"):  # an event that only touches zero
+        times = -derivatives[values, :, at].T / in_time[values, at]
+        return derivatives + in_time[:, None] * times, times
 
 
 def ending_events(ready: Ready, output: Output) -> Iterator[tuple[int, int]]:

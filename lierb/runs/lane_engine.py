@@ -30,7 +30,7 @@ from lierb.support.memory import require_memory
 
 FIRST_ITERATIONS = 200  # iterations of a thread's first call, which measures the plan's speed
 MOST_ITERATIONS = 1 << 30
-EVENT_ROOM = 4096  # least capacity of a workspace for the events of one call
+EVENT_ROOM = 1 << 17  # numbers of the events of one call for which a workspace has room, at least
 SHARES = 1000  # units of progress of a trajectory
 COPIES = 4  # copies of the events in memory while the table is made
 NOT_NOTED = np.zeros((0, 0))  # in place of the ends of steps
@@ -120,8 +120,13 @@ class LaneRun(Run[LaneTime]):
         """
         rows = np.concatenate([np.zeros((0, self._event_width)), *self._events])
         rows = rows[rows[:, 0] >= 0]
-        order = np.lexsort((rows[:, 2], rows[:, 0]))
-        return replace(self.output, events=np.ascontiguousarray(rows[order]))
+        rows = rows[np.lexsort((rows[:, 2], rows[:, 0]))]
+        events, derivatives = np.split(rows, [self._event_width - self._derivatives], axis=1)
+        return replace(
+            self.output,
+            events=np.ascontiguousarray(events),
+            event_derivatives=np.ascontiguousarray(derivatives.T),
+        )
 
     @cached_property
     def arrays(self) -> dict[str, NDArray[Any]]:
@@ -141,9 +146,14 @@ class LaneRun(Run[LaneTime]):
 
     @property
     def _event_width(self) -> int:
-        """Numbers of an event: EVENT_COLUMNS, state, signals."""
+        """Numbers of an event: EVENT_COLUMNS, state, signals, derivatives."""
         state = self.output.links * POSE_AND_TWIST.count
-        return ws.EVENT_COLUMNS + state + signals_width(self.plan)
+        return ws.EVENT_COLUMNS + state + signals_width(self.plan) + self._derivatives
+
+    @property
+    def _derivatives(self) -> int:
+        """Number of derivatives at an event."""
+        return len(self.output.end_derivatives)
 
     @cached_property
     def _events(self) -> list[Array]:
@@ -163,13 +173,13 @@ class LaneRun(Run[LaneTime]):
         plan, lanes, width = self.plan, self.plan.lanes, self._event_width
         output = Output.empty(plan, lanes, ONE_TIME, with_state=False)
         watched = len(events_of(plan))
-        room = max(EVENT_ROOM, 2 * ws.most_events(lanes, watched)) if watched else 0
+        room = max(EVENT_ROOM // width, 2 * ws.most_events(lanes, watched)) if watched else 0
         arrays = {
             "carried": np.zeros((carried_rows(plan), lanes)),
             **self.memory_of_thread(),
             "rows": np.zeros((ws.ROWS, lanes)),
             "request": np.zeros((1, ws.REQUEST)),
-            "shown": np.zeros((width - ws.EVENT_COLUMNS, lanes)),
+            "shown": np.zeros((width - ws.EVENT_COLUMNS - self._derivatives, lanes)),
             "sides": np.zeros((watched, lanes)),
             "values": np.zeros((ws.SAMPLES + 2, watched, lanes)),
             "dips": np.zeros((2, watched, lanes)),

@@ -51,6 +51,7 @@ class Output:
     raised : description of each trajectory's first exception in a user's function.
     events : [event][trajectory, index, t, state of every link, extra states and outputs], sorted by
         trajectory and time; None without events.
+    event_derivatives : at the events, likewise as at the ends, [column, direction; column][event].
     """
 
     plan: AnyPlan
@@ -65,6 +66,7 @@ class Output:
     end_derivatives: Array
     raised: dict[int, str]
     events: Array | None = None
+    event_derivatives: Array | None = None
 
     @classmethod
     def empty(cls, plan: AnyPlan, count: int, clock: Clock, with_state: bool) -> Output:

@@ -130,6 +130,27 @@ def test_rows_before_the_event_are_at_fixed_times_and_later_ones_nan():
     assert np.isnan(rows[2]).all()
 
 
+@pytest.mark.slow
+def test_every_event_has_the_derivatives_of_its_time_and_of_the_state_there():
+    result = thrown(np.array((2.0, 3.0, 0.5)))
+    events = result.sensitivities.events
+    assert [row.as_py() for row in events["event"]] == ["passes", "landing"] * 3
+    assert events["t"].equals(result.events["t"])
+    by = lambda name: np.array(events[name].to_pylist())
+    for row, speed in ((0, 2.0), (2, 3.0), (4, 0.5)):
+        t, vertical = flight(speed, height=0.5)
+        assert np.abs(by("t/twist0")[row, 3:] - (0.0, 0.0, -t / vertical)).max() < 1e-10
+        assert abs(by("t/gravity")[row, 2] + 0.5 * t * t / vertical) < 1e-10
+        assert by("t/landing.height")[row] == 0.0
+        # it passes at its height, whatever changes
+        R = np.array(result.events["rotation"][row].as_py()).reshape(3, 3)
+        place = by("pose/gravity")[row].reshape(6, 3)[3:]
+        assert np.abs((R @ place)[2]).max() < 1e-10
+    for name in events.column_names[3:]:  # a terminal event is the end
+        ends = np.array(result.sensitivities.summary[name].to_pylist())
+        np.testing.assert_allclose(by(name)[1::2], ends, rtol=1e-12, atol=1e-13)
+
+
 @pytest.mark.long
 def test_an_event_that_does_not_end_the_run_changes_nothing():
     result = thrown(events=passes(), t_end=0.9, with_respect_to="twist0")

@@ -201,5 +201,10 @@ def test_ends_at_events_change_as_by_differences():
         found = result.sensitivity("t", name)[0, 0]
         assert found == pytest.approx((times[1] - times[0]) / (2.0 * step), rel=1e-5)
         expected = (rates[1] - rates[0]) / (2.0 * step)
-        twist = result.sensitivity("link3.twist", name)[0, :3, 0]
+        (row,) = result.sensitivities.events.to_pylist()
+        assert row[f"t/{name}"][0] == pytest.approx(found, rel=1e-12)
+        at_event = np.array(row[f"link3.twist/{name}"])
+        twist = result.sensitivity("link3.twist", name)[0, :, 0]
+        np.testing.assert_allclose(at_event, twist, rtol=1e-12, atol=1e-12)
+        twist = twist[:3]
         np.testing.assert_allclose(twist, expected, rtol=1e-5, atol=1e-6)  # of differences

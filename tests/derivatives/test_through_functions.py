@@ -83,7 +83,7 @@ def test_forces_and_users_functions_have_the_derivatives_of_complex_steps(name):
     compare(problem, name, pose, twist, result, force=force, scales={})
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_work_of_forces_balances_the_energy_along_a_direction():
     drag = lierb.forces.drag(linear=0.5, angular=0.05)
     problem, pose, twist = problem_of("spherical", forces=drag)
@@ -93,6 +93,31 @@ def test_work_of_forces_balances_the_energy_along_a_direction():
     # more drag takes energy away, most of all from what moves fast
     assert result.sensitivity("energy", "drag.linear")[0, 0, 0] == 0.0
     assert result.sensitivity("energy", "drag.linear")[-1, 0, 0] < -1e-3
+    for name in ("drag.linear", "twist0"):
+        energy, work = (result.sensitivity(of, name)[:, 0] for of in ("energy", "work"))
+        np.testing.assert_allclose(work, energy - energy[0], atol=1e-8)  # error of the steps
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("solver", ["unrolled", "looped"])
+def test_work_in_joints_balances_the_energy_along_a_direction(solver):
+    box = lierb.bodies.box((0.1, 0.05, 0.4), mass=1.0)
+    hinge = lierb.joints.revolute(axis=(0, 1, 0), body_point=(0, 0, 0.2), parent_point=(0, 0, -0.2))
+    damper = lierb.forces.torsional_spring(stiffness=2.0, damping=0.1)
+    arm = lierb.Mechanism(
+        [lierb.Link("upper", box, hinge), lierb.Link("lower", box, hinge, "upper")],
+        gravity=GRAVITY,
+        forces=[damper.on("lower"), lierb.forces.motor(torque=0.7).on("upper")],
+    )  # fmt: skip
+    names = ("lower.torsional_spring.damping", "upper.motor.torque", "lower.body.mass")
+    start = {"pose0": arm.pose({"lower": 0.5}), "twist0": arm.twist({"lower": 2.0})}
+    result = lierb.integrate(
+        arm, **start, dt=1e-3, t_end=0.5, save_every=250, solver=solver, with_respect_to=names
+    )
+    for name in names:
+        energy, work = (result.sensitivity(of, name)[:, 0] for of in ("energy", "work"))
+        np.testing.assert_allclose(work, energy - energy[0], atol=1e-8)  # error of the steps
+        assert np.abs(work[-1]).max() > 1e-3
 
 
 # ---- constraints -------------------------------------------------------------------------------

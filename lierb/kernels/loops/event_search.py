@@ -254,8 +254,8 @@ def narrow(search):
 
 @in_watch
 def note_events(search):
-    """Append a row for each crossing, with the state there, which is in the workspace."""
-    rows = search.rows
+    """Append a row for each crossing, with state and derivatives there, from the workspace."""
+    rows, behind = search.rows, ws.EVENT_COLUMNS + search.shown.shape[0]
     for lane in range(search.lanes):
         if search.selected[lane] == 0.0:
             continue
@@ -263,8 +263,10 @@ def note_events(search):
         rows[0, 0] = index
         rows[index, 0], rows[index, 1] = search.trajectory[lane], event
         rows[index, 2] = search.start[lane] + theta * search.length[lane]
-        for c in range(rows.shape[1] - ws.EVENT_COLUMNS):
+        for c in range(search.shown.shape[0]):
             rows[index, ws.EVENT_COLUMNS + c] = search.shown[c, lane]
+        for c in range(search.derivatives.shape[0]):
+            rows[index, behind + c] = search.derivatives[c, lane]
         if search.terminal[event] > 0.0:
             search.last[lane] = min(search.last[lane], theta)
 

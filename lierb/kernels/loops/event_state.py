@@ -31,7 +31,8 @@ class Search(NamedTuple):
         θ = 2 for none.
     roundings : [event][lane], effect of rounding on the value at a trajectory's start.
     directions, terminal : [event].
-    shown : [column][lane].   rows : [index][column], rows of events; [0][0] is the count.
+    shown : [column][lane], state.   derivatives : [column][lane]; empty for runs without any.
+    rows : [index][column], rows of events; [0][0] is the count.
     """
 
     lanes: int
@@ -57,6 +58,7 @@ class Search(NamedTuple):
     directions: Any
     terminal: Any
     shown: Any
+    derivatives: Any
     rows: Any
 
 
@@ -70,7 +72,7 @@ def search_of(job, own, lanes):
         rows[ws.LOW], rows[ws.HIGH], rows[ws.AT_LOW], rows[ws.AT_HIGH], rows[ws.LAST],
         numbers_at(own.sides), histories_at(own.values), dips[0], dips[1],
         numbers_at(own.roundings), kinds[0], kinds[1],
-        numbers_at(own.shown), numbers_at(own.events),
+        numbers_at(own.shown), numbers_at(own.end_derivatives), numbers_at(own.events),
     )  # fmt: skip
 
 

@@ -100,10 +100,14 @@ def _store_ends(plan, body, inputs, lanes, termination, span, own):
     store_end(plan, body, lanes.state, lanes.record, ends, 0)
     lane_state.store_lane_end(plan, body, lanes, ends)
     seen = with_signals(plan, body, lanes.state, lanes.control)
-    store_end_derivatives(
-        plan, seen, inputs, lanes.state, lanes.record, numbers_at(own.end_derivatives), 0,
-        lanes.clock.t,
-    )  # fmt: skip
+    _store_derivatives(plan, seen, inputs, lanes.state, lanes, own, lanes.clock.t)
+
+
+@_part_of_loop
+def _store_derivatives(plan, body, inputs, state, lanes, own, time):
+    """Store the derivatives of a state at an event or at the end, in the workspace."""
+    array = numbers_at(own.end_derivatives)
+    store_end_derivatives(plan, body, inputs, state, lanes.record, array, 0, time)
 
 
 @_part_of_loop
@@ -208,6 +212,8 @@ def _look_between(
         elif task == search.NOTE:
             exchange(plan, body)
             lane_state.put_shown(plan, body, inputs, there, lanes, numbers_at(own.shown))
+            at_event = with_signals(plan, body, there, lanes.control)
+            _store_derivatives(plan, at_event, inputs, there, lanes, own, time)
             exchange(plan, body)
             _request(job.watch, search.NOTE_EVENTS, inputs, counter, jobs)
         elif task == search.END:

@@ -92,12 +92,13 @@ def derivative_columns(plan: AnyPlan, links: int, joints: int) -> Columns:
     """Return the columns of the differentiated quantities of a state.
 
     Of each link C⁻¹∂C and the change of its twist; extra states and outputs of controllers, energy,
-    observables; λ and reactions if they are recorded; values of events.
+    work; observables; λ and reactions if they are recorded; values of events.
     """
     return Columns(
         Field("links", (12 * links,)),
         Field("signals", (signals_width(plan),)),
         Field("energy"),
+        Field("work", (int(plan.does_work),)),
         Field("observables", (len(observables_of(plan)),)),
         Field("multipliers", (plan.multipliers * len(plan.rows),)),
         Field("reactions", (plan.reaction * 6 * max(joints, 1),)),
@@ -120,7 +121,8 @@ def differentiated(
     if plan.multipliers or plan.reaction:
         forces = system.forces(body, state, time)
     rest = (
-        state.states, body.signals.controls, energy, system.observed(body, seen, time),
+        state.states, body.signals.controls, energy, (state.work,) * plan.does_work,
+        system.observed(body, seen, time),
         forces[0] if plan.multipliers else (), tuple(forces[1]) if plan.reaction else (),
         system.events(body, seen, time) if events_of(plan) else (),
     )  # fmt: skip

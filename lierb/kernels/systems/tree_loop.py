@@ -143,7 +143,9 @@ class TreeLoop(LoopForces):
         tree.for_links(link)
         column = tree[at.LINKS] * 12
         energy = self.measured(body, state, seen, time).values["energy"]
-        scalars = (*state.states, *body.signals.controls, energy, *self.observed(body, seen, time))
+        work = (state.work,) * self.plan.does_work
+        observed = self.observed(body, seen, time)
+        scalars = (*state.states, *body.signals.controls, energy, *work, *observed)
         put_at(column, scalars)
         column = column + len(scalars)
         rows = tree[at.ROWS] * int(self.plan.multipliers)
@@ -162,7 +164,8 @@ class TreeLoop(LoopForces):
 
     def _columns(self, tree: MemoryTree) -> Index:
         """Return the number of differentiated quantities."""
-        scalars = signals_width(self.plan) + 1 + len(observables_of(self.plan))
+        scalars = signals_width(self.plan) + 1 + self.plan.does_work
+        scalars += len(observables_of(self.plan))
         numbers = tree[at.LINKS] * 12 + (scalars + len(events_of(self.plan)))
         return numbers + tree[at.ROWS] * int(self.plan.multipliers) + self._reactions(tree)
 
