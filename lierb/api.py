@@ -379,7 +379,7 @@ def _result(
     return Result(
         summary_table(output, metadata, model),
         history,
-        End(model, plan, output, STATUS_NAMES, metadata),
+        End(model, plan, output, STATUS_NAMES, metadata, derivatives and derivatives.state),
         events,
         of_run,
     )

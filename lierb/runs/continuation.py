@@ -7,7 +7,7 @@ therefore carry the kernels' state, and a run that starts from these objects sta
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -26,6 +26,17 @@ from lierb.support.arrays import Array, components, pose_matrix
 NAMED = 5  # most failed trajectories listed in a message
 
 
+class EndDerivatives(NamedTuple):
+    """Derivatives of the state of the kernels at the end of a run.
+
+    directions : those of each parameter, by name.
+    parts : [`state_columns`][direction][trajectory].
+    """
+
+    directions: dict[str, slice]
+    parts: Array
+
+
 @dataclass(frozen=True)
 class Continuation:
     """State of the kernels at the end of a run.
@@ -33,6 +44,7 @@ class Continuation:
     model, plan, clock, provenance : of the run that has ended.
     twist0 : twists at the end, (n, 6); for a mechanism by link.   t0 : time of the end, s.
     state : `end_columns` of the plan, [column][body].
+    derivatives : None for a run without derivatives.
     """
 
     model: Model
@@ -42,6 +54,7 @@ class Continuation:
     clock: Clock
     state: Array
     provenance: str
+    derivatives: EndDerivatives | None
 
     def fits(self, model: Model, plan: AnyPlan, twist0: Any, t0: float) -> bool:
         """Return True if a run with this start continues from here; its forces may differ."""
@@ -231,7 +244,7 @@ def continuation_of(pose0: Any) -> Continuation | None:
 class End:
     """End of a run, from which another run can continue.
 
-    statuses : status names by code.
+    statuses : status names by code.   derivatives : None for a run without derivatives.
     """
 
     model: Model
@@ -239,6 +252,7 @@ class End:
     output: Output
     statuses: dict[int, str]
     provenance: str
+    derivatives: EndDerivatives | None = None
 
     def keywords(self) -> dict[str, Any]:
         """Return pose0, twist0 and t0. Raises ArgumentError if a trajectory has failed."""
@@ -254,8 +268,9 @@ class End:
         poses, twists = self.model.from_links(of_poses), self.model.from_links(of_twists)
         marked: Any = EndPoses(poses) if isinstance(poses, dict) else poses.view(EndPose)
         marked.continuation = Continuation(
-            self.model, self.plan, twists, t, clock, self.output.ends, self.provenance
-        )
+            self.model, self.plan, twists, t, clock, self.output.ends, self.provenance,
+            self.derivatives,
+        )  # fmt: skip
         return {"pose0": marked, "twist0": twists, "t0": t}
 
     def _time(self) -> float:

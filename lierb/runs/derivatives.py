@@ -10,15 +10,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lierb.errors import ArgumentError
+from lierb.kernels.loops.record import end_columns, end_parts, state_columns
 from lierb.kernels.systems.layout import FEW_DIRECTIONS, MANY_DIRECTIONS, Columns
 from lierb.kernels.systems.plan import AnyPlan, MechanismPlan
 from lierb.kernels.systems.signals import events_of
 from lierb.kernels.systems.state import EVENT
 from lierb.kernels.systems.system_of import plan_with_derivatives
 from lierb.runs import engine
+from lierb.runs.continuation import EndDerivatives
 from lierb.runs.inputs import Inputs
 from lierb.runs.output import Output, derivatives_of
-from lierb.runs.parameters import Parameter, all_directions, fields_of
+from lierb.runs.parameters import Parameter, all_directions, fields_of, slices_of
 from lierb.runs.start_directions import Start
 from lierb.runs.starts import Ready
 from lierb.support.arrays import Array
@@ -38,6 +40,7 @@ class Derivatives(NamedTuple):
     times : of the end times, s, [direction][trajectory]; zero but for ends by events.
     events : at the events, [column][direction][event].   event_times : of their times, s,
         [direction][event].
+    state : of the state of the kernels at the end; None in looped code.
     """
 
     parameters: tuple[Parameter, ...]
@@ -47,6 +50,7 @@ class Derivatives(NamedTuple):
     times: Array
     events: Array
     event_times: Array
+    state: EndDerivatives | None
 
     @property
     def rows(self) -> Array:
@@ -86,10 +90,15 @@ def derivative_bytes(ready: Ready, parameters: tuple[Parameter, ...]) -> int:
 def obstacles(ready: Ready) -> Iterator[str]:
     """Yield the reasons why a run has no derivatives, with what is to be done."""
     plan = ready.plan
-    if ready.inputs.state is not None:
+    if ready.before is not None and _is_looped(plan):
         yield (
-            "a run that continues from result.end keeps the state of the kernels, which has no "
-            "derivatives by a start; begin with a copy of its poses, pose0=pose0.copy()"
+            "looped code does not go on from result.end with derivatives; begin with a copy of its "
+            "poses, pose0=pose0.copy(), and apply the chain rule"
+        )
+    elif ready.before is not None and ready.before.derivatives is None:
+        yield (
+            "the run that ended in result.end had no derivatives; give it the same parameters, or "
+            "begin with a copy of its poses, pose0=pose0.copy()"
         )
     names = {f.name for e in plan.elements for f in e.functions if not f.is_traced}
     if names:
@@ -106,6 +115,14 @@ def unfit_names(ready: Ready, parameters: tuple[Parameter, ...]) -> Iterator[str
     for name in columns:
         if name in ("pose", "twist"):
             yield f"{name} is a quantity of the run; name your column otherwise"
+    if ready.before is not None and ready.before.derivatives is not None:
+        known = ready.before.derivatives.directions
+        for p in parameters:
+            if p.name not in known:
+                yield (
+                    f"the run that ended in result.end has no derivatives by {p.name}; name it "
+                    "there too"
+                )
     for name in fixed_names(ready) & {p.name for p in parameters}:
         yield (
             f'{name} cannot change on cspace="SO3xR3", where the body frame is at the centre '
@@ -137,12 +154,14 @@ def integrate_with_derivatives(
     start, inputs = start_and_inputs(ready)
     names = [field.name for field, _ in inputs.columns]
     moving = fields_of(parameters, names)
-    is_looped = isinstance(plan, MechanismPlan) and plan.is_in_memory
-    if is_looped:  # its code looks them up by column
+    if _is_looped(plan):  # its code looks them up by column
         moving = tuple(names[: names.index("state")])
     with np.errstate(all="ignore"):  # of starts that violate their joints, which are refused later
         directions = all_directions(parameters, start)
-    abreast = _abreast(len(directions), is_looped)
+    if ready.before is not None:
+        moving = (*(name for name in moving if name not in inputs.starts), "state")
+        directions = _going_on(ready, parameters, directions)
+    abreast = _abreast(len(directions), _is_looped(plan))
     differentiated = plan_with_derivatives(plan, moving, abreast)
     starts = range(0, len(directions), abreast)
     outputs: list[Output] = []
@@ -154,7 +173,28 @@ def integrate_with_derivatives(
         )  # fmt: skip
         check = None
         outputs.append(output)
-    return replace(outputs[0], plan=plan), _together(ready, differentiated, parameters, outputs)
+    derivatives = _together(ready, differentiated, parameters, outputs)
+    return replace(
+        outputs[0], plan=plan, ends=outputs[0].ends[: len(end_columns(plan))]
+    ), derivatives
+
+
+def _is_looped(plan: AnyPlan) -> bool:
+    return isinstance(plan, MechanismPlan) and plan.is_in_memory
+
+
+def _going_on(
+    ready: Ready, parameters: tuple[Parameter, ...], directions: list[dict[str, Array]]
+) -> list[dict[str, Array]]:
+    """Return directions with the derivatives of the state that a run continues from."""
+    assert ready.before is not None
+    assert ready.before.derivatives is not None
+    known, parts = ready.before.derivatives
+    columns = list(state_columns(ready.plan))
+    own = [k for p in parameters for k in range(known[p.name].start, known[p.name].stop)]
+    states = np.zeros((len(own), parts.shape[-1], ready.inputs.columns.field("state").width))
+    states[:, :, columns] = np.moveaxis(parts[:, own], 0, 2)
+    return [each | {"state": state} for each, state in zip(directions, states, strict=True)]
 
 
 def _abreast(directions: int, is_looped: bool) -> int:
@@ -239,7 +279,12 @@ def _together(
         of_events: list[Any] = [each.event_derivatives for each in outputs]
         which = found[:, 1].astype(int)
         events, event_times = _at_events(joined(of_events), of_events[0][whole:], first + which)
-    return Derivatives(parameters, columns, tuple(of_rows), ends, times, events, event_times)
+    state = None
+    if end_parts(plan):
+        stored = len(end_columns(plan))
+        own = [each.ends[stored:].reshape(-1, plan.directions, n) for each in outputs]
+        state = EndDerivatives(slices_of(parameters), np.concatenate(own, axis=1)[:, :count])
+    return Derivatives(parameters, columns, tuple(of_rows), ends, times, events, event_times, state)
 
 
 def _at_events(

@@ -133,7 +133,7 @@ class Inputs:
         of_state = _unused(columns.count - at)
         for row, column in zip(self.state, end_columns(plan), strict=True):
             of_state[column] = row.ctypes.data, row.strides[0] if len(row) > 1 else 0
-        return np.concatenate([addresses, of_state])
+        return np.concatenate([addresses, *self._seeds(), of_state])
 
     def _seeds(self) -> Iterator[Addresses]:
         """Yield the addresses of each field's seeds, [number, direction]."""

@@ -15,6 +15,7 @@ from lierb.kernels.functions.source_lines import line_that_raised
 from lierb.kernels.loops.record import (
     carried_columns,
     end_columns,
+    end_parts,
     history_columns,
     lane_column,
     summary_columns,
@@ -44,7 +45,8 @@ class Output:
     states : [link, time][trajectory][component]; only the state at the end if not recorded.
     multipliers : [time][trajectory][row of any joint].
     reactions : [joint, time][trajectory][component].
-    ends : the driver's state at the end, [`end_columns`][trajectory].
+    ends : the driver's state at the end, [`end_columns`][trajectory]; then, with derivatives, those
+        of `state_columns`, [column, direction][trajectory].
     derivatives : [column, direction][time][trajectory], of `derivative_columns`.
     end_derivatives : at the end, [column, direction][trajectory]; then, for a model with events,
         those in time, [column][trajectory].
@@ -189,7 +191,7 @@ def _shapes(plan: AnyPlan, count: int, rows: int, with_state: bool) -> tuple[tup
         *((states, count, field.width) for field in POSE_AND_TWIST.fields),
         (rows * plan.multipliers, count, len(plan.rows)),
         (rows * plan.reaction * max(len(system.joints), 1), count, 6),
-        (len(end_columns(plan)), count),
+        (len(end_columns(plan)) + end_parts(plan), count),
         (derivatives * plan.directions, rows, count),
         (derivatives * (plan.directions + bool(events_of(plan))), count),
     )

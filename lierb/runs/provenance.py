@@ -70,7 +70,8 @@ def _count_of(start: Start | None) -> int:
 
 
 def _described_run(ready: Ready) -> str:
-    model, options, before = ready.model, ready.options, ready.before
+    model, options = ready.model, ready.options
+    before = None if ready.before is None else ready.before.provenance
     if model not in _models:
         _models[model] = json.dumps(model.description, default=_described)
     start = {

@@ -11,7 +11,7 @@ from lierb.kernels.stepping.clock import StepClock
 from lierb.kernels.systems.plan import AnyPlan
 from lierb.kernels.systems.system_of import system_of
 from lierb.model.base import Model
-from lierb.runs.continuation import continuation_of, continuing
+from lierb.runs.continuation import Continuation, continuation_of, continuing
 from lierb.runs.inputs import Inputs
 from lierb.runs.lane_engine import LaneTime
 from lierb.runs.options import Options
@@ -27,7 +27,7 @@ class Ready(NamedTuple):
     pose0, twist0 : arrays; for a mechanism, arrays by link. pose0 is None for the closed joint.
     is_at_rest : True if twist0 is the default, rest.
     trajectories : numbers of the trajectories, if the caller passes them.
-    before : provenance of the run whose kernel state this run continues from, or None.
+    before : end of the run whose kernel state this run continues from, or None.
     """
 
     model: Model
@@ -39,7 +39,7 @@ class Ready(NamedTuple):
     twist0: Any
     is_at_rest: bool
     trajectories: Array | None
-    before: str | None
+    before: Continuation | None
 
     @property
     def start(self) -> tuple[Any, Any, float]:
@@ -84,7 +84,7 @@ def ready(model: Model, options: Options, pose0: Any, twist0: Any) -> Ready:
     return Ready(
         model, options, plan, inputs, times,
         None if poses is None else model.from_links(poses), model.from_links(twists),
-        twist0 is None, numbers, None if known is None else known.provenance,
+        twist0 is None, numbers, known,
     )  # fmt: skip
 
 

@@ -28,6 +28,7 @@ from lierb.kernels.systems.derivatives import (
     on_values,
     parts_side_by_side,
     seeded,
+    seeds_of_state,
     with_parts,
 )
 from lierb.kernels.systems.layout import LANE_SUMMARY, Columns, Field
@@ -201,7 +202,10 @@ def resumed_state(plan: AnyPlan, body: Any, inputs: Any) -> State:
     if plan.is_looped:
         return in_memory(plan).resumed(body, inputs)
     at = system_of(plan).inputs["state"]
-    numbers = _columns(plan, inputs, range(at.start, at.stop), 0)
+    numbers: Any = _columns(plan, inputs, range(at.start, at.stop), 0)
+    seeds = seeds_of_state(plan, system_of(plan).inputs)
+    if seeds:
+        numbers = with_parts(plan, numbers, _columns(plan, inputs, seeds, 0))
     state: State = system_of(plan).state_of(numbers, body)
     return with_all_parts(plan, state)
 
@@ -266,11 +270,22 @@ def store_carried(
         in_memory(plan).store_state(body, carried, carried_columns(plan).count, first)
 
 
-@on_values
 def store_end(
     plan: AnyPlan, body: Any, state: State, record: Record, ends: Any, column: Any
 ) -> None:
-    """Store the state, and the rank at the start, for a run that continues."""
+    """Store the state, and the rank at the start, for a run that continues; then derivatives."""
+    _store_end_values(plan, body, state, record, ends, column)
+    if end_parts(plan):
+        numbers = flatten(state)
+        parts = parts_side_by_side(tuple(numbers[c] for c in state_columns(plan)), plan.directions)
+        first = len(end_columns(plan))
+        scatter(ends, 1, [(first + c, column) for c in range(len(parts))], parts, plan.lanes)
+
+
+@on_values
+def _store_end_values(
+    plan: AnyPlan, body: Any, state: State, record: Record, ends: Any, column: Any
+) -> None:
     first: Any = 0
     going_on: list[Any] = []
     if plan.is_looped:
@@ -295,6 +310,12 @@ def end_columns(plan: AnyPlan) -> tuple[int, ...]:
     """
     first = system_of(plan).state.count
     return (*state_columns(plan), *range(first, first + lane_end(plan).count))
+
+
+def end_parts(plan: AnyPlan) -> int:
+    """Return the number of derivatives of a state that are stored at the end of a run."""
+    is_in_memory = plan.is_looped or (isinstance(plan, MechanismPlan) and plan.is_in_memory)
+    return 0 if is_in_memory else plan.directions * len(state_columns(plan))
 
 
 @lru_cache(64)

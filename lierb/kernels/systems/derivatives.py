@@ -49,9 +49,17 @@ def seeded(plan: AnyPlan, columns: Columns, numbers: list[Any]) -> list[Any]:
         return numbers
     own, seeds = numbers[: columns["seeds"].start], iter(numbers[columns["seeds"]])
     for field, part in columns:
-        for c in range(part.start, part.stop) if field.name in plan.moving else ():
+        moves = field.name in plan.moving and field.name != "state"
+        for c in range(part.start, part.stop) if moves else ():
             own[c] = Dual(own[c], tuple(islice(seeds, plan.directions)))
     return own
+
+
+def seeds_of_state(plan: AnyPlan, columns: Columns) -> range:
+    """Return the columns of the seeds of a state to continue from, the last ones; may be empty."""
+    count = plan.directions * columns.field("state").width * ("state" in plan.moving)
+    last = columns["state"].start
+    return range(last - count, last)
 
 
 def completed(plan: AnyPlan, numbers: Any) -> Any:

@@ -130,8 +130,8 @@ def inputs_of(
         for number, element in enumerate(elements)
         for name, shape in element.shapes.items()
     )
-    own = (*INPUTS.fields, *parameters)
-    return Columns(*own, *seeds_of(own, moving, directions), Field("state", (numbers,)))
+    own, state = (*INPUTS.fields, *parameters), Field("state", (numbers,))
+    return Columns(*own, *seeds_of((*own, state), moving, directions), state)
 
 
 def seeds_of(

@@ -56,10 +56,11 @@ class TreeFormulation(Projection, TreeMeasures):
     def inputs(self) -> Columns:
         plan = self.plan
         columns = inputs_of(plan.links, plan.loops, plan.elements)
+        state = Field("state", (self.state.count,))
         return Columns(
             *columns.fields,
-            *seeds_of(columns.fields, plan.moving, plan.directions),
-            Field("state", (self.state.count,)),
+            *seeds_of((*columns.fields, state), plan.moving, plan.directions),
+            state,
             Field("lane", (lane_end(plan).count,)),
         )
 
