@@ -207,6 +207,11 @@ def _number(model: Model, of: Any) -> int:
 def _obstacles(prepared: Ready) -> Iterator[str]:
     """Yield the reasons why a run has no adjoint, beside those for derivatives."""
     model, plan = prepared.model, prepared.plan
+    if prepared.before is not None:
+        yield (
+            "the start is the end of another run, from which an adjoint does not go back; begin "
+            "with a copy of its poses, pose0=pose0.copy()"
+        )
     if isinstance(plan, MechanismPlan) and plan.is_in_memory:
         yield 'looped code has no adjoint; take solver="unrolled", or integrate(with_respect_to=…)'
     if model.controllers:

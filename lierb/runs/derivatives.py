@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
+from itertools import chain
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -74,7 +75,8 @@ def require_differentiable(
 
     argument : of the parameters, for messages.
     """
-    for obstacle in (*obstacles(ready), *unfit_names(ready, parameters)):
+    reasons = obstacles(ready), _unfit_end(ready, parameters), unfit_names(ready, parameters)
+    for obstacle in chain(*reasons):
         raise ArgumentError(f"{argument}: {obstacle}")
     size = derivative_bytes(ready, parameters) * ready.inputs.count
     remedy = "take fewer parameters or trajectories at a time, or save less often"
@@ -90,22 +92,28 @@ def derivative_bytes(ready: Ready, parameters: tuple[Parameter, ...]) -> int:
 def obstacles(ready: Ready) -> Iterator[str]:
     """Yield the reasons why a run has no derivatives, with what is to be done."""
     plan = ready.plan
-    if ready.before is not None and _is_looped(plan):
-        yield (
-            "looped code does not go on from result.end with derivatives; begin with a copy of its "
-            "poses, pose0=pose0.copy(), and apply the chain rule"
-        )
-    elif ready.before is not None and ready.before.derivatives is None:
-        yield (
-            "the run that ended in result.end had no derivatives; give it the same parameters, or "
-            "begin with a copy of its poses, pose0=pose0.copy()"
-        )
     names = {f.name for e in plan.elements for f in e.functions if not f.is_traced}
     if names:
         yield (
             f"{', '.join(sorted(names))} runs body by body, without derivatives; write it so that "
             "it runs for many bodies at once, with lierb.where(condition, a, b) in place of if"
         )
+
+
+def _unfit_end(ready: Ready, parameters: tuple[Parameter, ...]) -> Iterator[str]:
+    """Yield the reasons why a run does not go on with derivatives from the end of another."""
+    if ready.before is None:
+        return
+    anew = "begin with a copy of its poses, pose0=pose0.copy(), and apply the chain rule"
+    controllers = [f"{each.name}, a controller," for each in ready.model.controllers]
+    for what in controllers or ["looped code"] * _is_looped(ready.plan):
+        yield f"{what} does not go on from result.end with derivatives; {anew}"
+    known = ready.before.derivatives
+    if known is None:
+        yield f"the run that ended in result.end had none; give it the same parameters, or {anew}"
+        return
+    for name in {p.name for p in parameters} - known.directions.keys():
+        yield f"the run that ended in result.end has none by {name}; name it there too"
 
 
 def unfit_names(ready: Ready, parameters: tuple[Parameter, ...]) -> Iterator[str]:
@@ -115,14 +123,6 @@ def unfit_names(ready: Ready, parameters: tuple[Parameter, ...]) -> Iterator[str
     for name in columns:
         if name in ("pose", "twist"):
             yield f"{name} is a quantity of the run; name your column otherwise"
-    if ready.before is not None and ready.before.derivatives is not None:
-        known = ready.before.derivatives.directions
-        for p in parameters:
-            if p.name not in known:
-                yield (
-                    f"the run that ended in result.end has no derivatives by {p.name}; name it "
-                    "there too"
-                )
     for name in fixed_names(ready) & {p.name for p in parameters}:
         yield (
             f'{name} cannot change on cspace="SO3xR3", where the body frame is at the centre '
