@@ -166,7 +166,7 @@ def _of(derivatives: Derivatives, quantity: _Quantity, array: Array) -> Iterator
     for p in derivatives.parameters:
         part = np.moveaxis(array[:, first : first + p.size], -1, 0)
         first += p.size
-        flat = np.ascontiguousarray(part.reshape(len(part), -1))
+        flat = np.ascontiguousarray(part.reshape(len(part), prod(part.shape[1:])))
         column = vectors(flat)
         shape = ", ".join(map(str, (*quantity.shape, p.size)))
         described = {UNIT: quantity.unit, PER: p.unit, SHAPE: shape}
