@@ -107,10 +107,8 @@ def ball(along=(1.0, 0.0, 0.0), share=0.5, ground=0.0) -> lierb.Problem:
     )  # fmt: skip
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    "options", [pytest.param({"dt": 0.05}, marks=pytest.mark.long), {"rtol": 1e-9}]
-)
+@pytest.mark.long
+@pytest.mark.parametrize("options", [{"dt": 0.05}, {"rtol": 1e-9}])
 def test_a_throw_has_the_derivatives_of_its_closed_form(options):
     # h = z + v t − g t²/2 of the centre of mass; a body that spins carries the frame's origin along
     speeds = np.array([[0, 0, 0, 0.5, 0, v] for v in (3.0, 1.0, 0.2)])

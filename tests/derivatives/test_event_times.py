@@ -180,3 +180,43 @@ def test_events_of_a_mechanism_end_it_on_a_joint():
     assert np.abs(by("rod.twist0")[2]).max() < 1e-10
     assert np.abs(by("rod.body.mass")[2]).max() < 1e-10
     assert abs(result.sensitivity("t", "rod.body.mass")[0, 0]) > 1e-4
+
+
+@lierb.states(turned=0.0)
+def counter(omega):
+    return {"turned": omega[2]}
+
+
+@lierb.event(terminal=True, level=2.0)
+def reached(states, omega, params):
+    return states.turned + 0.5 * omega[2] - params.level
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "solver", [None, "looped", pytest.param("unrolled", marks=pytest.mark.long)]
+)
+def test_events_that_read_extra_states_have_the_derivatives_of_their_closed_form(solver):
+    """s = ω₀ t + α t²/2 and ω = ω₀ + α t reach s + ω/2 = 2, α being the torque over 0.25 kg m²."""
+    hinge, wheel = lierb.joints.revolute(), lierb.Body(1.0, (0.1, 0.2, 0.25))
+    torque, turned, end = lierb.forces.motor(torque=0.3), counter(), reached()
+    options = {"t_end": 3.0, "rtol": 1e-11}
+    if solver is None:
+        model = lierb.Problem(wheel, hinge, forces=torque, states=turned, events=end)
+        options["twist0"], name = (0.0, 0.0, 2.0, 0.0, 0.0, 0.0), ""
+    else:
+        model = lierb.Mechanism(
+            lierb.Link("wheel", wheel, hinge), forces=torque.on("wheel"),
+            states=turned.on("wheel"), events=end.on("wheel"),
+        )  # fmt: skip
+        options |= {"twist0": model.twist({"wheel": 2.0}), "solver": solver}
+        name = "wheel."
+    names = (f"{name}motor.torque", f"{name}reached.level")
+    result = lierb.integrate(model, **options, with_respect_to=names)
+    t, alpha = result.t[0], 0.3 / 0.25
+    rate = 2.0 + alpha * t + 0.5 * alpha  # ġ
+    by_torque = -(0.5 * t * t + 0.5 * t) / 0.25 / rate
+    assert abs(result.sensitivity("t", names[0])[0, 0] - by_torque) < 1e-10
+    assert abs(result.sensitivity("t", names[1])[0, 0] - 1.0 / rate) < 1e-10
+    at_end = result.sensitivity("turned", names[1])[0, 0]
+    assert abs(at_end - (2.0 + alpha * t) / rate) < 1e-10

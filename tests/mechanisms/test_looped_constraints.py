@@ -174,12 +174,8 @@ def driven():
     return mechanism, {"pose0": pose0, "twist0": mechanism.project(twist0, pose0)}
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    "stabilise",
-    ["project", pytest.param(KEPT, marks=pytest.mark.long)],
-    ids=["projected", "Baumgarte"],
-)
+@pytest.mark.long
+@pytest.mark.parametrize("stabilise", ["project", KEPT], ids=["projected", "Baumgarte"])
 def test_motors_constraints_and_forces_in_loops_act_as_by_unrolled_formulas(stabilise):
     agree(*driven(), stabilise=stabilise)
 

@@ -17,6 +17,7 @@ from lierb.kernels.numbers.dual import Dual, values
 from lierb.kernels.numbers.vec import Vec
 from lierb.kernels.systems.combine import NAN
 from lierb.kernels.systems.derivatives import differentiated, in_time, on_values
+from lierb.kernels.systems.extra_states import with_states
 from lierb.kernels.systems.layout import POSE_AND_TWIST
 from lierb.kernels.systems.measures import KEPT, SUMMARY
 from lierb.kernels.systems.observables import columns_of
@@ -176,6 +177,7 @@ def store_end_derivatives(
     elif events_of(plan):
         body, state, system = values(body), values(state), system_of(plan)
         moved, time = in_time(system, body, state, time), Dual(time, (1.0,))
+        body = with_states(body, moved)
         _store_parts(plan, body, inputs, moved, record, array, (column,), time, count)
 
 

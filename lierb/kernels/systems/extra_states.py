@@ -32,6 +32,13 @@ def with_signals(plan: AnyPlan, body: Any, state: State, control: Control) -> An
     return body._replace(signals=Signals(state.states, control.controls, control.memory))
 
 
+def with_states(body: Any, state: State) -> Any:
+    """Return the body with the extra states of a state in place of its own, if it has any."""
+    if not state.states:
+        return body
+    return body._replace(signals=body.signals._replace(states=state.states))
+
+
 def with_initial_states(system: AnySystem, body: Any, state: State, zero: Any) -> State:
     """Return the state at the start with the extra states.   zero : 0, of the kind of numbers."""
     own = system.initial_states(body, state) if states_of(system.plan) else ()

@@ -25,6 +25,7 @@ from lierb.kernels.systems.derivatives import (
     moved_in_body,
     parts_side_by_side,
 )
+from lierb.kernels.systems.extra_states import with_states
 from lierb.kernels.systems.layout import POSE_AND_TWIST
 from lierb.kernels.systems.measures import JOINT_ERRORS, JOINT_KEPT
 from lierb.kernels.systems.observables import observables_of
@@ -185,7 +186,7 @@ class TreeLoop(LoopForces):
         for_each(tree[at.MEMORY], lambda i: own.put(i, rows[i]))
         moved = in_time(self, body, completed(plan, state), time, plan.directions)
         self.take_next(body, 1.0 + 0.0 * values(body.mass))
-        return body, moved
+        return with_states(body, moved), moved
 
     def store_end(self, body: LoopBody, state: State, ends: Any, column: Any) -> None:
         """Store the state for a run that continues: charts, V_rel, extra states."""
