@@ -182,7 +182,7 @@ def _report(experiments: Experiments, ends: Minimisation) -> Fits:
     has_run = np.isfinite(state["chi2"])
     chi2 = np.where(has_run, state["chi2"], np.nan)
     varied = experiments.varied(everyone, state)
-    variation = Variation(varied, experiments.parameters, experiments.variation.t0)
+    variation = experiments.varying(everyone, varied)
     unknowns = experiments.unknowns(everyone, variation, state["bases"])
     told = decomposed(state["factor"][..., :-1], state["sizes"])
     freedoms = experiments.residuals - told.rank

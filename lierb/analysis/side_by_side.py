@@ -150,18 +150,22 @@ class Experiments:
         )
         return {name: np.concatenate([first[name], second[name]]) for name in first}
 
-    def _tried(self, members: Members, point: State, steps: Array) -> State:
+    def varying(self, members: Members, base: Varied) -> Variation:
+        """Return the variation of some experiments from a base, with the guess's directions."""
         parameters = with_directions(self.parameters, self.fixed, self.trajectories(members))
-        variation = Variation(self.varied(members, point), parameters, self.variation.t0)
+        return Variation(base, parameters, self.variation.t0)
+
+    def _tried(self, members: Members, point: State, steps: Array) -> State:
+        variation = self.varying(members, self.varied(members, point))
         if steps.any():
             unknowns = self.unknowns(members, variation, point["bases"])
             moved = variation.at(unknowns.changes(unknowns.base + steps))
-            variation = Variation(moved, parameters, self.variation.t0)
+            variation = self.varying(members, moved)
         unknowns = self.unknowns(members, variation)
         if unknowns.size != self.size:
             raise ArgumentError("joints or loops admit other motions of the start than the guess")
         result = self._runs(members, not steps.any()).result(
-            variation.base, parameters, has_tables=False
+            variation.base, variation.parameters, has_tables=False
         )
         if self.most_steps is None and "steps" in result.summary.column_names:
             self.most_steps = self.runs.most_steps(result.summary)

@@ -22,6 +22,7 @@ from lierb.runs.variations import Variation
 from lierb.support.arrays import Array, as_floats
 
 RANK = 1e-9  # relative size of directions that joints do not admit
+ROUNDING = 1e-12  # the same of components that joints hold
 
 
 class Charted(NamedTuple):
@@ -102,14 +103,33 @@ class Unknowns:
 
     @cached_property
     def spread(self) -> Array:
-        """Return the matrix from unknowns to all numbers, whose starts may depend on each other."""
-        width = self.bases.shape[-2]
+        """Return the matrix from unknowns to all numbers, those of starts as the joints move them.
+
+        A joint turns a change of one number into a motion that it admits: C⁻¹δC and δV of the
+        links, whose numbers depend on each other.
+        """
+        width, moved = self.bases.shape[-2], self._changes_of_starts @ self.bases
         matrix = np.zeros((*self.lead, self.shared + self.count * width, self.size))
         matrix[..., range(self.shared), range(self.shared)] = 1.0
         for i, part in enumerate(self.start_slices):
             first = self.shared + i * width
-            matrix[..., first : first + width, part] = self.bases[..., i, :, :]
+            matrix[..., first : first + width, part] = moved[..., i, :, :]
+        matrix[np.abs(matrix) < ROUNDING * np.abs(matrix).max(initial=0.0)] = 0.0
         return matrix
+
+    @property
+    def _changes_of_starts(self) -> Array:
+        """Return the change of each number of the starts by each, (count, numbers, numbers)."""
+        trajectories = prod((*self.lead, self.count))
+        changes = np.zeros((trajectories, *[sum(p.size for p in self.starts)] * 2))
+        for p in self.starts:
+            link, is_pose = p.name.rpartition(".")[0], p.name.endswith("pose0")
+            for other in self.starts:
+                turned, sped = self.variation.moved[other.name][link]
+                own = np.moveaxis(turned if is_pose else sped, 0, -1)  # (n or 1, 6, numbers)
+                place = self.start_parts[p.name], self.start_parts[other.name]
+                changes[:, *place] = own[:, : p.size]
+        return changes.reshape(*self.lead, self.count, *changes.shape[1:])
 
     # ---- coordinates ---------------------------------------------------------------------------
 

@@ -319,6 +319,33 @@ def test_covariance_of_names_is_a_block():
     np.testing.assert_array_equal(matrix.images[0].get_array(), fit.correlation)
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("experiments", [0, 2])
+def test_errors_of_a_start_on_a_hinge_are_those_of_a_straight_line(experiments):
+    """φ = φ₀ + ω t on a hinge 0.5 m from the frame: a turn of the start moves the frame, too."""
+    hinge = lierb.joints.revolute(body_point=(0.5, 0.0, 0.0))
+    wheel = lierb.Problem(lierb.Body(1.0, (0.5, 0.6, 0.7)), hinge)
+    t, sigma = np.linspace(0.0, 2.0, 21), 0.01
+    data = {"t": t, "coordinates": (0.3 + 0.2 * t)[:, None]}
+    start = {"pose0": hinge.pose([0.3]), "twist0": hinge.twist(omega=(0.0, 0.0, 0.2)), "dt": 0.02}
+    names, noise = ["pose0", "twist0"], {"coordinates": sigma}
+    if experiments:
+        data["coordinates"] = np.stack([data["coordinates"]] * experiments, axis=1)
+        found = lierb.fits(wheel, data, names, sigma=noise, **start)
+    else:
+        found = lierb.fit(wheel, data, names, sigma=noise, **start)
+    errors = {name: np.atleast_2d(found.standard_errors[name])[0] for name in names}
+    turning = np.array((0.0, 0.0, 1.0, 0.0, -0.5, 0.0))  # of the frame, about the hinge
+    spread = np.sum((t - t.mean()) ** 2)
+    right = sigma * np.sqrt(1.0 / len(t) + t.mean() ** 2 / spread)
+    assert_allclose(errors["pose0"], right * np.abs(turning), rtol=1e-9, atol=1e-16)
+    assert_allclose(
+        errors["twist0"], sigma / np.sqrt(spread) * np.abs(turning), rtol=1e-9, atol=1e-16
+    )
+    covariance = found.covariance[0] if experiments else found.covariance
+    assert_allclose(covariance[2, 4], right**2 * turning[4], rtol=1e-9)
+
+
 @pytest.mark.long
 def test_covariance_covers_the_scatter_of_estimates():
     """500 fits of noisy data: scatter over covariance within 10 %, chi-square of its mean."""
