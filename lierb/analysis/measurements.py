@@ -16,6 +16,7 @@ from lierb.analysis.quantities import QUATERNION, Quantity, quantity_named
 from lierb.errors import ArgumentError, brief, unknown_name
 from lierb.kernels.groups import quaternion
 from lierb.kernels.numbers.vec import dot
+from lierb.kernels.systems.measures import MEASURES
 from lierb.model.base import Model
 from lierb.model.functions.column_names import COMPONENTS
 from lierb.results.columns import as_array
@@ -23,7 +24,8 @@ from lierb.results.result import Result
 from lierb.runs.parameters import Parameter
 from lierb.support.arrays import Array, as_floats, assembled, components
 
-TIMES, TRAJECTORY, STEP = "t", "trajectory", "step"
+TIMES, TRAJECTORY = "t", "trajectory"
+NOT_MEASURED = {"step"} | {m.name for m in MEASURES if m.name != "energy"}  # of a history
 EXPECTED = 'a dictionary or a table with "t" and measured columns, or a list of them'
 
 
@@ -173,7 +175,7 @@ def _of_history(columns: dict[str, Any]) -> dict[str, Any]:
     if TRAJECTORY not in columns:
         return columns
     numbers = np.asarray(columns.pop(TRAJECTORY))
-    columns.pop(STEP, None)
+    columns = {k: x for k, x in columns.items() if k.rpartition(".")[2] not in NOT_MEASURED}
     count = len(np.unique(numbers))
     if len(numbers) % count or np.any(numbers.reshape(-1, count) != np.unique(numbers)):
         raise ArgumentError(
@@ -186,8 +188,11 @@ def _of_history(columns: dict[str, Any]) -> dict[str, Any]:
 
 def _times(label: str, given: Any) -> Array:
     times = as_floats(f"{label}: t", given)
-    if times.ndim != 1 or not times.size or not np.isfinite(times).all():
-        raise ArgumentError(f"{label}: t has shape {times.shape}; expected (m,), finite times in s")
+    if times.ndim != 1 or not times.size:
+        raise ArgumentError(f"{label}: t has shape {times.shape}; expected (m,), times in s")
+    if not np.isfinite(times).all():
+        at = int(np.flatnonzero(~np.isfinite(times))[0])
+        raise ArgumentError(f"{label}: t[{at}] is {times[at]}; leave out samples without a time")
     if np.any(np.diff(times) <= 0.0):
         raise ArgumentError(
             f"{label}: t does not ascend; sort the samples, and give each time once"
@@ -212,6 +217,8 @@ def _values(name: str, given: Any, times: int, quantity: Quantity) -> Array:
             f"data: {name} has shape {values.shape}; expected ({times}, {sizes}), or "
             f"({times}, n, {sizes}) for n trajectories"
         )
+    if np.isinf(values).any():
+        raise ArgumentError(f"data: {name} has infinite numbers; a missing sample is NaN")
     values = values if len(lead) == 2 else values[:, None]
     if is_quaternion:
         values = _rotations(values)

@@ -13,6 +13,7 @@ from scipy.optimize import least_squares
 
 import lierb
 from lierb.analysis.identifiability import described, identified
+from lierb.analysis.measurements import measurements
 from lierb.analysis.pseudo_inertia import SIZES, body_of, coordinates_of, derivatives_of
 from lierb.errors import InertiaError, LierbError
 from lierb.runs.parameters import SYMMETRIC
@@ -420,6 +421,8 @@ GOOD = {"t": [0.5, 1.0], "omega": np.zeros((2, 3))}
         ({"t": [0.5, 1.0], "rotation": np.ones((2, 3, 3))}, "no rotations"),
         ({"t": [0.5], "omega": np.full((1, 3), np.nan)}, "1 unknown numbers and data 0 samples"),
         ({"t": [-1.0, 1.0], "omega": np.zeros((2, 3))}, "not within t0"),
+        ({"t": [np.nan, 1.0], "omega": np.zeros((2, 3))}, r"t\[0\] is nan; leave out"),
+        ({"t": [0.5, 1.0], "omega": np.full((2, 3), np.inf)}, "infinite numbers; a missing"),
         (3.0, "a dictionary or a table"),
         ([], "data is empty"),
         ([GOOD, {"t": [1.0]}], "expected those of data"),
@@ -459,3 +462,12 @@ def test_bounds_are_kept():
     bounds = {DAMPING: (0.05, 1.0)}
     fit = fitted(pendulum(0.1), data_of(swung(), "omega"), DAMPING, bounds=bounds)
     assert 0.05 <= fit.estimate[DAMPING][0] < 0.0501
+
+
+def test_a_whole_history_is_read_without_the_errors_of_joints():
+    flight = lierb.Problem(lierb.bodies.sphere(0.1, mass=1.0), lierb.joints.free())
+    run = {"twist0": np.ones(6), "dt": 0.1, "t_end": 0.2, "save_every": 1, "record": "state"}
+    history = lierb.integrate(flight, **run).history
+    for table in (history, history.to_pandas()):
+        columns = measurements(flight, table, None).columns
+        assert [c.quantity.name for c in columns] == ["rotation", "position", "omega", "v"]
