@@ -14,7 +14,7 @@ from lierb.errors import (
     items_of,
 )
 from lierb.kernels.functions.function import size_of
-from lierb.kernels.mechanics.elements import TurnCounter
+from lierb.kernels.mechanics.passive_elements import TurnCounter
 from lierb.kernels.mechanics.rows import keeps_axis, slides, turns
 from lierb.model.functions.binding import bound, columns_of, require_different_events
 from lierb.model.functions.column_names import require_free

@@ -10,8 +10,8 @@ import numpy as np
 
 from lierb.errors import ArgumentError, LierbError, brief, unknown_name
 from lierb.kernels.functions.shapes import Shape
-from lierb.kernels.mechanics.elements import EVERY, INITIAL, UserController
 from lierb.kernels.mechanics.newton_euler import Parameters
+from lierb.kernels.mechanics.passive_elements import EVERY, INITIAL, UserController
 from lierb.kernels.mechanics.rows import parameters_of as parameters_of_rows
 from lierb.kernels.mechanics.spatial import Rigid
 from lierb.kernels.numbers.vec import IDENTITY, ZERO3, scale

@@ -9,7 +9,7 @@ from typing import Any
 from numpy.typing import ArrayLike
 
 from lierb.errors import ArgumentError, brief, items_of, require_name
-from lierb.kernels.mechanics.elements import AddedStates, UserStates
+from lierb.kernels.mechanics.passive_elements import AddedStates, UserStates
 from lierb.kernels.systems.formulations import FORMULATIONS
 from lierb.kernels.systems.plan import UPDATES, Stabilisation
 from lierb.methods import Method

@@ -19,8 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lierb.errors import StiffStepWarning
-from lierb.kernels.mechanics.elements import Element, TurnCounter
+from lierb.kernels.mechanics.elements import Element
 from lierb.kernels.mechanics.newton_euler import BodyConstants, Motion, Parameters, frames_of
+from lierb.kernels.mechanics.passive_elements import TurnCounter
 from lierb.kernels.numbers.arithmetic import plain
 from lierb.kernels.numbers.vec import IDENTITY, UNIT, ZERO3, scale
 from lierb.kernels.numbers.zero import ZERO

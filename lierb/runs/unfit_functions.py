@@ -10,7 +10,7 @@ import numpy as np
 from lierb.errors import body_label
 from lierb.kernels.functions.signals import Signals
 from lierb.kernels.mechanics.added_inertia import VariableMass
-from lierb.kernels.mechanics.elements import AddedStates
+from lierb.kernels.mechanics.passive_elements import AddedStates
 from lierb.kernels.numbers.arithmetic import flatten, plain
 from lierb.kernels.systems.extra_states import with_initial_states
 from lierb.kernels.systems.state import NON_FINITE

@@ -9,7 +9,8 @@ from lierb.kernels.functions.fingerprint import fingerprint
 from lierb.kernels.functions.function import Function
 from lierb.kernels.functions.noise import normal
 from lierb.kernels.functions.signals import Noise, Signals
-from lierb.kernels.mechanics import elements as kinds
+from lierb.kernels.mechanics.passive_elements import UserController, UserEvent, UserStates
+from lierb.kernels.mechanics.user_wrench import UserWrench
 from lierb.kernels.systems.one_body import BodyMotion
 from lierb.kernels.systems.plan import Plan
 from lierb.kernels.systems.system_of import system_of
@@ -75,11 +76,11 @@ WHEELS = made(
 )
 PUSH = ("t", "R", "r", "omega", "v", "controls", "states")
 ELEMENTS = (
-    kinds.UserWrench(made(push, PUSH, results=((3,), (3,)), **SEEN)),
-    kinds.UserEvent(made(landing, ("r", "v", "controls"), results=((),), **SEEN)),
-    kinds.UserStates(WHEELS, STATES),
-    kinds.UserController(made(lit, ("params",), (("level", ()),), outputs=(LAMP,)), (), LAMP),
-    kinds.UserController(ATTITUDE, MEMORY, TORQUE),
+    UserWrench(made(push, PUSH, results=((3,), (3,)), **SEEN)),
+    UserEvent(made(landing, ("r", "v", "controls"), results=((),), **SEEN)),
+    UserStates(WHEELS, STATES),
+    UserController(made(lit, ("params",), (("level", ()),), outputs=(LAMP,)), (), LAMP),
+    UserController(ATTITUDE, MEMORY, TORQUE),
 )
 EULER = TABLEAUS["Euler"].scheme(is_adaptive=False, interpolates=False)
 STEPS = {"lanes": 1, "update": "local", "method": EULER, "multipliers": False}

@@ -12,9 +12,10 @@ from typing import Any, ClassVar, NamedTuple
 
 from lierb.kernels.functions.function import Function
 from lierb.kernels.groups import se3
-from lierb.kernels.mechanics.elements import Element, times_of_jumps
+from lierb.kernels.mechanics.elements import Element
 from lierb.kernels.mechanics.newton_euler import Frames, Motion, unit_inertia
 from lierb.kernels.mechanics.spatial import Articulated, Pose, Rigid
+from lierb.kernels.mechanics.user_wrench import times_of_jumps
 from lierb.kernels.numbers.arithmetic import where
 from lierb.kernels.numbers.number import Number
 from lierb.kernels.numbers.vec import ZERO3, Vec, add, axpy, cross, dot, neg, scale, sub

@@ -6,16 +6,10 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from lierb.kernels.functions.function import Function
-from lierb.kernels.mechanics.elements import (
-    Element,
-    UserFrame,
-    Wrench,
-    constant_in_time,
-    second,
-    slope_of,
-    times_of_jumps,
-)
-from lierb.kernels.mechanics.newton_euler import Frames, Motion
+from lierb.kernels.mechanics.elements import Element
+from lierb.kernels.mechanics.newton_euler import Frames, Motion, Wrench
+from lierb.kernels.mechanics.user_frames import UserFrame, constant_in_time, second, slope_of
+from lierb.kernels.mechanics.user_wrench import times_of_jumps
 from lierb.kernels.numbers.vec import Vec, cross, mat_t_vec, scale
 from lierb.kernels.numbers.zero import ZERO
 

@@ -54,6 +54,8 @@ from lierb.kernels.numbers.zero import ZERO, is_zero
 Pose = tuple[Mat, Vec]
 Turn = Callable[[Vec], Vec]  # transforms a vector's components to other axes
 
+Wrench = tuple[Vec, Vec]  # torque and force, in body axes, about the joint's point
+
 
 class Parameters(NamedTuple):
     """The parameters of a body and its joint are in the user's frames.

@@ -7,9 +7,10 @@ from typing import Any, ClassVar
 
 from lierb.kernels.functions.function import Function
 from lierb.kernels.functions.user_number import UserNumber
-from lierb.kernels.mechanics.elements import Element, UserFrame, constant_in_time, moving, second
+from lierb.kernels.mechanics.elements import Element
 from lierb.kernels.mechanics.newton_euler import Frames, Kinematics
 from lierb.kernels.mechanics.rows import AddedRow, HeldBody
+from lierb.kernels.mechanics.user_frames import UserFrame, constant_in_time, moving, second
 from lierb.kernels.numbers.arithmetic import plain
 from lierb.kernels.numbers.vec import (
     ZERO3,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import lru_cache
 from typing import Any, NamedTuple
 
-from lierb.kernels.mechanics.elements import UserObservable
+from lierb.kernels.mechanics.passive_elements import UserObservable
 from lierb.kernels.numbers.arithmetic import fma, where
 from lierb.kernels.systems.plan import AnyPlan
 

@@ -13,14 +13,14 @@ from typing import Any, TypeVar
 from lierb.kernels.functions.function import size_of
 from lierb.kernels.functions.shapes import Shapes
 from lierb.kernels.functions.signals import Noise
-from lierb.kernels.mechanics.elements import (
+from lierb.kernels.mechanics.kinks import Bound
+from lierb.kernels.mechanics.newton_euler import Motion
+from lierb.kernels.mechanics.passive_elements import (
     AddedStates,
-    Bound,
     UserController,
     UserEvent,
     UserObservable,
 )
-from lierb.kernels.mechanics.newton_euler import Motion
 from lierb.kernels.numbers.arithmetic import sqrt
 from lierb.kernels.numbers.vec import Vec
 from lierb.kernels.numbers.zero import ZERO

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from typing import Any, Protocol, TypeVar
 
 from lierb.kernels.functions.signals import Noise
-from lierb.kernels.mechanics.elements import Bound
+from lierb.kernels.mechanics.kinks import Bound
 from lierb.kernels.mechanics.tree import Connection
 from lierb.kernels.numbers.vec import Vec
 from lierb.kernels.systems.layout import Columns

@@ -8,8 +8,9 @@ from typing import Any, NamedTuple
 
 from lierb.kernels.functions.signals import Signals
 from lierb.kernels.mechanics import tree_nodes
-from lierb.kernels.mechanics.elements import Bound, UserEvent
+from lierb.kernels.mechanics.kinks import Bound
 from lierb.kernels.mechanics.newton_euler import Motion
+from lierb.kernels.mechanics.passive_elements import UserEvent
 from lierb.kernels.mechanics.tree import HERE
 from lierb.kernels.mechanics.tree_connections import between, frame_on
 from lierb.kernels.mechanics.tree_nodes import Kind

@@ -8,8 +8,8 @@ from typing import Any, ClassVar
 from numpy.typing import ArrayLike
 
 from lierb.kernels.groups import so3
-from lierb.kernels.mechanics.elements import Tangent, Wrench
-from lierb.kernels.mechanics.newton_euler import Frames, Motion
+from lierb.kernels.mechanics.elements import Tangent
+from lierb.kernels.mechanics.newton_euler import Frames, Motion, Wrench
 from lierb.kernels.numbers.arithmetic import absolute
 from lierb.kernels.numbers.vec import (
     UNIT,

@@ -6,8 +6,8 @@ from typing import Any, ClassVar
 
 from numpy.typing import ArrayLike
 
-from lierb.kernels.mechanics.elements import Tangent, Wrench
-from lierb.kernels.mechanics.newton_euler import Motion
+from lierb.kernels.mechanics.elements import Tangent
+from lierb.kernels.mechanics.newton_euler import Motion, Wrench
 from lierb.kernels.numbers.arithmetic import fma, sqrt
 from lierb.model.forces.built_in import Parameter
 from lierb.model.forces.joint_axes import AlongJoint, AtJoint, sliding

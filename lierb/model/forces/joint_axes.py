@@ -5,8 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, ClassVar, Self
 
-from lierb.kernels.mechanics.elements import Tangent, Wrench, counted_turn
-from lierb.kernels.mechanics.newton_euler import Motion
+from lierb.kernels.mechanics.elements import Tangent
+from lierb.kernels.mechanics.newton_euler import Motion, Wrench
+from lierb.kernels.mechanics.passive_elements import counted_turn
 from lierb.kernels.numbers.arithmetic import PI, fma, rint
 from lierb.kernels.numbers.trigonometry import atan2
 from lierb.kernels.numbers.vec import ZERO3

@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lierb.errors import ArgumentError, body_label
-from lierb.kernels.mechanics.elements import Bound, Tangent, Wrench, travel_to_kink
-from lierb.kernels.mechanics.newton_euler import Motion
+from lierb.kernels.mechanics.elements import Tangent
+from lierb.kernels.mechanics.kinks import Bound, travel_to_kink
+from lierb.kernels.mechanics.newton_euler import Motion, Wrench
 from lierb.kernels.numbers.arithmetic import PI, absolute, fma, maximum, minimum, where
 from lierb.model.forces.built_in import Parameter
 from lierb.model.forces.joint_axes import AlongJoint, AtJoint, sliding

@@ -13,9 +13,9 @@ from lierb.kernels.functions.function import Function
 from lierb.kernels.functions.shapes import Shape, UserFunction
 from lierb.kernels.functions.user_number import UserNumber
 from lierb.kernels.mechanics.axis_rows import AxisRow
-from lierb.kernels.mechanics.elements import Wrench, constant_in_time, second, slope_of
-from lierb.kernels.mechanics.newton_euler import Kinematics, Motion
+from lierb.kernels.mechanics.newton_euler import Kinematics, Motion, Wrench
 from lierb.kernels.mechanics.rows import AddedRow, HeldBody, Rows, slides, turns
+from lierb.kernels.mechanics.user_frames import constant_in_time, second, slope_of
 from lierb.kernels.numbers.arithmetic import plain
 from lierb.kernels.numbers.vec import ZERO3
 from lierb.kernels.numbers.zero import ZERO

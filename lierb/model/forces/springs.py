@@ -6,8 +6,9 @@ from typing import Any, ClassVar
 
 from numpy.typing import ArrayLike
 
-from lierb.kernels.mechanics.elements import Bound, Tangent, Wrench, travel_to_kink
-from lierb.kernels.mechanics.newton_euler import Motion
+from lierb.kernels.mechanics.elements import Tangent
+from lierb.kernels.mechanics.kinks import Bound, travel_to_kink
+from lierb.kernels.mechanics.newton_euler import Motion, Wrench
 from lierb.kernels.numbers.arithmetic import PI, fma, maximum, where
 from lierb.kernels.numbers.vec import UNIT, Vec, cross, dot, mat_t_vec, norm, scale, sub
 from lierb.model.forces.built_in import (

@@ -12,8 +12,9 @@ from numpy.typing import ArrayLike
 from lierb.errors import ArgumentError, body_label
 from lierb.kernels.functions.elementary import exp
 from lierb.kernels.functions.shapes import Shapes
-from lierb.kernels.mechanics.elements import AddedStates, Tangent, Wrench
-from lierb.kernels.mechanics.newton_euler import Motion
+from lierb.kernels.mechanics.elements import Tangent
+from lierb.kernels.mechanics.newton_euler import Motion, Wrench
+from lierb.kernels.mechanics.passive_elements import AddedStates
 from lierb.kernels.numbers.arithmetic import absolute, fma
 from lierb.kernels.numbers.vec import Vec
 from lierb.model.forces.built_in import Parameter

@@ -7,8 +7,8 @@ from typing import Any, ClassVar
 from numpy.typing import ArrayLike
 
 from lierb.errors import require_name
-from lierb.kernels.mechanics.elements import Tangent, Wrench
-from lierb.kernels.mechanics.newton_euler import Frames, Motion
+from lierb.kernels.mechanics.elements import Tangent
+from lierb.kernels.mechanics.newton_euler import Frames, Motion, Wrench
 from lierb.kernels.numbers.arithmetic import fma
 from lierb.kernels.numbers.vec import UNIT, ZERO3, cross_add, dot, mat_t_vec, norm, scale
 from lierb.model.forces.built_in import (

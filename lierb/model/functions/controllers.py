@@ -14,8 +14,7 @@ from lierb.errors import ArgumentError, ForceError, unknown_name
 from lierb.kernels.functions.function import Function
 from lierb.kernels.functions.shapes import Shapes, UserFunction
 from lierb.kernels.functions.trials import outputs_of
-from lierb.kernels.mechanics import elements as kinds
-from lierb.kernels.mechanics.elements import FELT
+from lierb.kernels.mechanics.passive_elements import FELT, UserController
 from lierb.model.functions.decorated import Decorated, decorated
 from lierb.model.functions.named_values import (
     NamedValues,
@@ -94,7 +93,7 @@ class ControllerFunction(Decorated):
             partial(form_of_any, (*SIGNALS, "memory") if self.memory else SIGNALS, further=FELT),
             memory=self.memory, outputs=((), self.memory) if self.memory else ((),), draws=True,
         )  # fmt: skip
-        kind = kinds.UserController(function, self.memory)
+        kind = UserController(function, self.memory)
         values = {"every": as_positive("every", every, "s"), **values}
         controller = Controller.of(name, kind, values, units=self.units, made_by=self)
         if function.takes_signals:

@@ -13,6 +13,7 @@ from lierb.kernels.functions.fingerprint import Reference
 from lierb.kernels.functions.function import Function
 from lierb.kernels.functions.shapes import Shapes
 from lierb.kernels.mechanics import elements as kinds
+from lierb.kernels.mechanics.passive_elements import INITIAL, AddedStates
 from lierb.model.functions.decorated import Decorated
 from lierb.model.functions.tracing import runnable
 from lierb.support.arrays import Array, Which, as_numbers, batch_size, items_at
@@ -66,7 +67,7 @@ class Element:
     @staticmethod
     def short(parameter: str) -> str:
         """Return the name that users give to a parameter of the kernels."""
-        return parameter.removeprefix(kinds.INITIAL)
+        return parameter.removeprefix(INITIAL)
 
     def on(self, link: str, other: str | None = None) -> Self:
         """Place the element on a link of a `lierb.Mechanism`, or between two links.
@@ -123,11 +124,11 @@ class Element:
     @property
     def columns(self) -> Shapes:
         """Names and shapes of the extra states, or outputs of a controller, that it has."""
-        return self.kind.states if isinstance(self.kind, kinds.AddedStates) else ()
+        return self.kind.states if isinstance(self.kind, AddedStates) else ()
 
     def unit_of_column(self, name: str) -> str:
         """Return the unit of one of `columns`."""
-        return self.kind.state_unit if isinstance(self.kind, kinds.AddedStates) else "1"
+        return self.kind.state_unit if isinstance(self.kind, AddedStates) else "1"
 
     def bound(self, states: Shapes, controls: Shapes) -> Self:
         """Return the element bound to a problem's extra states and outputs of controllers.

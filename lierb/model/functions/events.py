@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from lierb.errors import ArgumentError, brief
 from lierb.kernels.functions.shapes import UserFunction
-from lierb.kernels.mechanics import elements as kinds
+from lierb.kernels.mechanics.passive_elements import UserEvent
 from lierb.model.functions.decorated import Decorated, column_name, decorated
 from lierb.model.functions.elements import Element
 from lierb.model.functions.tracing import number_of_motion
@@ -83,7 +83,7 @@ class EventFunction(Decorated):
         """Make the event with these parameters, one value for all bodies or one for each."""
         function = number_of_motion(self.function, self._shapes(parameters))
         return Event.of(
-            column_name("the event's name", function.name), kinds.UserEvent(function),
+            column_name("the event's name", function.name), UserEvent(function),
             self.defaults | parameters,
             direction=self.direction, terminal=self.terminal, made_by=self,
         )  # fmt: skip

@@ -14,7 +14,7 @@ from typing import Any, Self
 
 from lierb.errors import ArgumentError, brief, unknown_name
 from lierb.kernels.functions.shapes import Shapes
-from lierb.kernels.mechanics import elements as kinds
+from lierb.kernels.mechanics.passive_elements import INITIAL
 from lierb.model.functions.decorated import column_name, require_unit
 from lierb.model.functions.elements import Element, seeing
 from lierb.model.functions.tracing import runnable
@@ -100,5 +100,5 @@ def values_of(
     Returns the parameters, and all values of the element, including defaults, by prefixed names.
     """
     parameters = {name: value for name, value in arguments.items() if name not in initial}
-    starts = {f"{kinds.INITIAL}{name}": arguments.get(name, x) for name, x in initial.items()}
+    starts = {f"{INITIAL}{name}": arguments.get(name, x) for name, x in initial.items()}
     return parameters, {**defaults, **parameters, **starts}

@@ -9,7 +9,7 @@ from typing import Any, ClassVar, Self, overload
 from numpy.typing import ArrayLike
 
 from lierb.kernels.functions.shapes import UserFunction
-from lierb.kernels.mechanics import elements as kinds
+from lierb.kernels.mechanics.passive_elements import UserObservable
 from lierb.model.functions.decorated import Decorated, column_name, decorated, require_unit
 from lierb.model.functions.elements import Element
 from lierb.model.functions.tracing import number_of_motion
@@ -73,7 +73,7 @@ class ObservableFunction(Decorated):
         """Make the observable with these parameters, one value for all bodies or one for each."""
         name = column_name("the observable's name", self.function.__name__)
         function = number_of_motion(self.function, self._shapes(parameters))
-        kind, values = kinds.UserObservable(function), self.defaults | parameters
+        kind, values = UserObservable(function), self.defaults | parameters
         return Observable.of(name, kind, values, unit=self.unit, made_by=self)
 
 

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from lierb.errors import ArgumentError
 from lierb.kernels.functions.shapes import UserFunction
-from lierb.kernels.mechanics import elements as kinds
+from lierb.kernels.mechanics.passive_elements import UserStates
 from lierb.model.functions.decorated import Decorated, decorated
 from lierb.model.functions.named_values import (
     NamedValues,
@@ -56,7 +56,7 @@ class StatesFunction(Decorated):
         function = described(self.function, MOTION, shapes, (), by_name, outputs=outputs)
         if not function.takes_signals:
             function = runnable(function, self.function, ExtraStates.because)
-        kind = kinds.UserStates(function, self.states)
+        kind = UserStates(function, self.states)
         return ExtraStates.of(function.name, kind, values, units=self.units, made_by=self)
 
 

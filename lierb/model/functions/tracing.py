@@ -18,7 +18,7 @@ from lierb.kernels.functions.refusals import TEXT
 from lierb.kernels.functions.shapes import Shape, UserFunction
 from lierb.kernels.functions.source_lines import where_it_was
 from lierb.kernels.functions.trials import compile_alone, trial
-from lierb.kernels.mechanics.elements import FELT
+from lierb.kernels.mechanics.passive_elements import FELT
 
 ARGUMENTS: dict[str, Shape] = {"t": (), "R": (3, 3), "r": (3,), "omega": (3,), "v": (3,)}
 MOTION, POSE, VELOCITY = tuple(ARGUMENTS), ("R", "r"), ("omega", "v")

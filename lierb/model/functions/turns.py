@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from numpy.typing import ArrayLike
 
-from lierb.kernels.mechanics import elements as kinds
+from lierb.kernels.mechanics.passive_elements import TurnCounter
 from lierb.model.functions.named_values import require_attribute
 from lierb.model.functions.states import ExtraStates
 
@@ -55,5 +55,5 @@ def turns(name: str = "turned", *, start: ArrayLike = 0.0) -> ExtraStates:
     [3.68]
     """
     require_attribute("a counted angle", name)
-    kind = kinds.TurnCounter(((name, ()),))
+    kind = TurnCounter(((name, ()),))
     return ExtraStates.of(name, kind, {"start": start}, units={name: "rad"})

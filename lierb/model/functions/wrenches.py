@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from lierb.errors import unknown_name
 from lierb.kernels.functions.shapes import Shape, UserFunction
-from lierb.kernels.mechanics import elements as kinds
+from lierb.kernels.mechanics.user_wrench import UserWrench
 from lierb.model.functions.decorated import Decorated, decorated, require_function
 from lierb.model.functions.elements import Element
 from lierb.model.functions.tracing import DERIVATIVES, MOTION, POSE, SIGNALS, form_of, user_function
@@ -50,7 +50,7 @@ class Wrench(JumpingFunction):
         potential = self._potential and user_function(
             self._potential, POSE, shapes, ((),), because=DERIVATIVES
         )
-        kind = kinds.UserWrench(function, potential, self.discontinuities)
+        kind = UserWrench(function, potential, self.discontinuities)
         values = self.defaults | parameters
         return Force.of(self.function.__name__, kind, values, made_by=self)
 

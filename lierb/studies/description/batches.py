@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lierb.errors import LierbError, PoseError, StudyError, TwistError
-from lierb.kernels.mechanics.elements import INITIAL
+from lierb.kernels.mechanics.passive_elements import INITIAL
 from lierb.model.mechanism.links import Link, Loop
 from lierb.model.mechanism.mechanism import Mechanism
 from lierb.model.problem import Problem

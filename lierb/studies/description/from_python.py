@@ -15,7 +15,7 @@ import numpy as np
 
 from lierb.errors import ArgumentError, LierbError, StudyError, brief, require_name
 from lierb.kernels.functions.function import Function
-from lierb.kernels.mechanics.elements import INITIAL, TurnCounter
+from lierb.kernels.mechanics.passive_elements import INITIAL, TurnCounter
 from lierb.kernels.mechanics.rows import parameters_of
 from lierb.kernels.systems.plan import Stabilisation
 from lierb.model import forces

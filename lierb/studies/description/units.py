@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from lierb.kernels.mechanics.elements import TurnCounter
+from lierb.kernels.mechanics.passive_elements import TurnCounter
 from lierb.model import forces
 from lierb.model.joints.joint import Joint
 from lierb.model.mechanism.mechanism import Mechanism
