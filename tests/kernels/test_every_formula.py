@@ -60,6 +60,7 @@ NO_NUMBERS = {  # abstract, or of other things
     "loops.record.lane_input",
     "mechanics.axis_rows.AxisRow.moved",
     "mechanics.constraints.smooth_residuals",  # for systems.descriptor
+    "mechanics.rows.Row.prescribed_slope",  # likewise
     "mechanics.passive_elements.AddedStates.at_start",
     "mechanics.passive_elements.AddedStates.rates",
     "mechanics.elements.Element.depends_on_velocity", "mechanics.elements.Element.feels",
