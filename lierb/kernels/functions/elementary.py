@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from functools import partial, reduce
+from functools import cache, partial, reduce
 from typing import Any
 
 import numpy as np
@@ -19,7 +19,7 @@ from lierb.kernels.functions.user_number import (
     raw,
     value_of,
 )
-from lierb.kernels.numbers.arithmetic import PI, absolute, all_lanes, branch, plain
+from lierb.kernels.numbers.arithmetic import PI, absolute, all_lanes, apart, branch, plain
 from lierb.kernels.numbers.arithmetic import sqrt as root
 from lierb.kernels.numbers.arithmetic import where as select
 from lierb.kernels.numbers.dual import Dual, parts_of
@@ -57,11 +57,22 @@ def copysign_of(x: Any, y: Any) -> Any:
 def _library(name: str, *operands: Any) -> Any:
     """Call the C library's function on each number."""
     if any(isinstance(x, Lane) for x in operands):
-        return lane_by_lane.call_library(name, *map(plain, operands))
+        return _of_library(name)(*map(plain, operands))[0]
     if hasattr(np, IN_NUMPY.get(name, name)):
         return getattr(np, IN_NUMPY.get(name, name))(*map(plain, operands))
     values = np.frompyfunc(getattr(math, name), len(operands), 1)(*map(plain, operands))
     return np.asarray(values, dtype=np.float64)[()]
+
+
+@cache
+def _of_library(name: str) -> Callable[..., tuple[Any]]:
+    """Return the C library's function on lanes, whose code is called apart."""
+
+    def formula(*operands: Any) -> tuple[Any]:
+        return (lane_by_lane.call_library(name, *operands),)
+
+    formula.__qualname__ = f"_of_library.{name}"
+    return apart(1)(formula)
 
 
 IN_NUMPY = {
@@ -70,19 +81,28 @@ IN_NUMPY = {
 }  # fmt: skip
 
 
+@apart(1)
+def _sine(x: Any) -> tuple[Any]:
+    return (select(x == 0.0, x, _sine_or_cosine("sin", x)),)  # sin(−0) is −0
+
+
+@apart(1)
+def _cosine(x: Any) -> tuple[Any]:
+    return (_sine_or_cosine("cos", x),)
+
+
 def _sine_or_cosine(name: str, x: Any) -> Any:
     which = 0 if name == "sin" else 1
     near = absolute(x) <= SINCOS_RANGE
-    value = branch(
+    return branch(
         all_lanes(near),
         lambda: sincos(x)[which],
         lambda: select(near, sincos(x)[which], _library(name, x)),
     )
-    return select(x == 0.0, x, value) if name == "sin" else value  # sin(−0) is −0
 
 
-sin: Callable[[Any], Any] = smooth("sin", partial(_sine_or_cosine, "sin"), lambda x, y: cos(x))
-cos: Callable[[Any], Any] = smooth("cos", partial(_sine_or_cosine, "cos"), lambda x, y: -sin(x))
+sin: Callable[[Any], Any] = smooth("sin", lambda x: _sine(x)[0], lambda x, y: cos(x))
+cos: Callable[[Any], Any] = smooth("cos", lambda x: _cosine(x)[0], lambda x, y: -sin(x))
 tan = smooth("tan", partial(_library, "tan"), lambda x, y: 1.0 + y * y)
 exp = smooth("exp", partial(_library, "exp"), lambda x, y: y)
 expm1 = smooth("expm1", partial(_library, "expm1"), lambda x, y: y + 1.0)

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
+from itertools import islice
+from math import prod
 from typing import Any, ClassVar
 
 from lierb.kernels.functions.function import Function
@@ -10,6 +14,7 @@ from lierb.kernels.mechanics.elements import Element
 from lierb.kernels.mechanics.newton_euler import Frames, Motion, Wrench
 from lierb.kernels.mechanics.user_frames import UserFrame, constant_in_time, second, slope_of
 from lierb.kernels.mechanics.user_wrench import times_of_jumps
+from lierb.kernels.numbers.arithmetic import apart, flatten
 from lierb.kernels.numbers.vec import Vec, cross, mat_t_vec, scale
 from lierb.kernels.numbers.zero import ZERO
 
@@ -33,10 +38,27 @@ class GroundMotion(Element):
 
     def acceleration(self, placed: Any, x: Motion) -> Vec:
         """Return s̈, m/s², in the axes of the user's body frame."""
-        frame, parameters = UserFrame(*placed[0]), placed[1]
-        moved = self.function(constant_in_time(parameters), second(x.time, 1.0, ZERO))
-        turn, _ = frame.pose(x.q, x.place)
-        return mat_t_vec(turn, tuple(slope_of(slope_of(s)) for s in moved))
+        turn, _ = UserFrame(*placed[0]).pose(x.q, x.place)
+        return mat_t_vec(turn, self._second_slope(x.time, *flatten(placed[1])))
+
+    @cached_property
+    def _second_slope(self) -> Callable[..., Vec]:
+        """Return the formula of s̈, m/s², in ground axes, from time and parameters.
+
+        Its code is called apart: each stage of each link would have it otherwise, which made the
+        first call of a small mechanism four times as long.
+        """
+
+        def formula(time: Any, *numbers: Any) -> Vec:
+            rest = iter(constant_in_time(numbers))
+            parameters = tuple(
+                tuple(islice(rest, prod(shape))) if shape else next(rest)
+                for shape in self.shapes.values()
+            )
+            moved = self.function(parameters, second(time, 1.0, ZERO))
+            return tuple(0.0 * time + slope_of(slope_of(s)) for s in moved)
+
+        return apart(3)(formula)
 
     def felt(self, placed: Any, x: Motion) -> Vec:
         """Return s̈, m/s², in the axes of the joint on the body."""
