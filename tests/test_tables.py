@@ -14,7 +14,7 @@ from mechanisms.shared import four_bar
 
 import lierb
 from lierb import joints
-from lierb.errors import FailedTrajectoryWarning
+from lierb.errors import FailedTrajectoryWarning, UnknownNameError
 from lierb.kernels.tracing.cpu import DEFAULT_LANES
 from lierb.runs import engine
 
@@ -913,3 +913,15 @@ def test_tables_outlive_the_run(top):
     for _ in range(3):  # would overwrite what Arrow only borrowed
         run(*top, save_every=1, record="state", method="RK4", cspace="SE3")
     np.testing.assert_array_equal(by_body(table, "rotation"), before)
+
+
+class Unprintable:
+    def __repr__(self) -> str:
+        raise RuntimeError("no")
+
+
+def test_names_that_cannot_be_printed_are_refused():
+    flight = lierb.Problem(lierb.bodies.sphere(0.1, mass=1.0), joints.free())
+    result = lierb.integrate(flight, dt=0.1, t_end=0.2)
+    with pytest.raises(UnknownNameError, match="is unknown"):
+        result[Unprintable()]

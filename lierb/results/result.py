@@ -83,7 +83,8 @@ class Result(RunStates):
 
     def _no_column(self, name: Any) -> UnknownNameError:
         tables = self.sensitivities
-        if tables is not None and SEPARATOR in str(name) and name in tables.summary.column_names:
+        columns = [] if tables is None else tables.summary.column_names
+        if isinstance(name, str) and SEPARATOR in name and name in columns:
             of, by = name.split(SEPARATOR)
             return UnknownNameError(
                 f"result: column={name!r} has derivatives; take result.sensitivity({of!r}, {by!r})"

@@ -265,13 +265,15 @@ class RunStates(States):
         """Return the error for a name that is no link and no column."""
         what = f"result: {'link or column' if self.links else 'column'}"
         known = (*self.links, *self._columns)
+        if not isinstance(name, str):
+            return unknown_name(what, name, known)
         least = [f"{name}_{end}" for end in ENDS if f"{name}_{end}" in known]
         if least and self.history is None:
             return UnknownNameError(
                 f"{what}={name!r} is one of a history, which save_every= or save_at= keeps; "
                 f"without one there are {', '.join(least)}"
             )
-        if isinstance(name, str) and name in RESULTS:
+        if name in RESULTS:
             return UnknownNameError(f"{what}={brief(name)} is unknown; take {RESULTS[name]}")
         return unknown_name(what, name, known)
 

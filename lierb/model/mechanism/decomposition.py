@@ -172,7 +172,10 @@ def _easing(free: Array, moving: Array, y: Array) -> Array:
     sizes = np.sqrt(summed(moving * moving))
     q, r = np.linalg.qr(np.swapaxes(moving / sizes[..., None], 1, 2))
     parts = -summed(np.swapaxes(q, 1, 2) * y[:, None, :])
-    parts = np.linalg.solve(r, parts[..., None])[..., 0] / sizes
+    try:
+        parts = np.linalg.solve(r, parts[..., None])[..., 0] / sizes
+    except np.linalg.LinAlgError:  # free motions that are equal to rounding, as of a mass of 1e300
+        parts = np.full_like(parts, np.nan)  # the caller's iteration does not converge
     return summed(np.swapaxes(free, 1, 2) * parts[:, None, :])
 
 
