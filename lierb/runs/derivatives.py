@@ -17,6 +17,7 @@ from lierb.kernels.systems.plan import AnyPlan, MechanismPlan
 from lierb.kernels.systems.signals import events_of
 from lierb.kernels.systems.state import EVENT
 from lierb.kernels.systems.system_of import plan_with_derivatives
+from lierb.model.base import Model
 from lierb.runs import engine
 from lierb.runs.continuation import EndDerivatives
 from lierb.runs.inputs import Inputs
@@ -28,6 +29,7 @@ from lierb.support.arrays import Array
 from lierb.support.memory import require_memory
 from lierb.support.progress import Progress
 
+TICK = 8.0 * np.finfo(float).eps  # relative distance of a time from a tick, by rounding
 COPIES = 3  # of all derivatives in memory: of the runs, of all together, and of their tables
 
 
@@ -255,7 +257,7 @@ def _together(
 ) -> Derivatives:
     """Join the derivatives of all runs.   outputs : with equal values, along other directions."""
     columns, count = derivatives_of(plan), sum(p.size for p in parameters)
-    n, rows = ready.inputs.count, ready.times.saved_rows
+    n, saved = ready.inputs.count, ready.times.saved_rows
     whole = columns.count * plan.directions
 
     def shaped(arrays: Iterable[Array], *shape: int) -> list[Array]:
@@ -265,7 +267,7 @@ def _together(
         together = np.concatenate(shaped(arrays, arrays[0].shape[-1]), axis=1)
         return np.asarray(together[:, :count])
 
-    of_rows = shaped((each.derivatives for each in outputs), rows, n)
+    of_rows = shaped((each.derivatives for each in outputs), saved, n)
     ends = joined([each.end_derivatives for each in outputs])
     times = np.zeros((count, n))
     events, event_times = np.zeros((columns.count, count, 0)), np.zeros((count, 0))
@@ -274,11 +276,15 @@ def _together(
         pairs = np.array([*ending_events(ready, outputs[0])], dtype=int).reshape(-1, 2)
         at, which = pairs.T
         in_time = outputs[0].end_derivatives[whole:, at]
-        ends[:, :, at], times[:, at] = _at_events(ends[:, :, at], in_time, first + which)
-        found: Any = outputs[0].events
+        is_fixed = _at_ticks(ready.model, at, which, outputs[0].t[at])
+        found = _at_events(ends[:, :, at], in_time, first + which, is_fixed)
+        ends[:, :, at], times[:, at] = found
+        rows: Any = outputs[0].events
         of_events: list[Any] = [each.event_derivatives for each in outputs]
-        which = found[:, 1].astype(int)
-        events, event_times = _at_events(joined(of_events), of_events[0][whole:], first + which)
+        at, which = rows[:, :2].astype(int).T
+        is_fixed = _at_ticks(ready.model, at, which, rows[:, 2])
+        in_time = of_events[0][whole:]
+        events, event_times = _at_events(joined(of_events), in_time, first + which, is_fixed)
     state = None
     if end_parts(plan):
         stored = len(end_columns(plan))
@@ -288,7 +294,7 @@ def _together(
 
 
 def _at_events(
-    derivatives: Array, in_time: Array, values: NDArray[np.int64]
+    derivatives: Array, in_time: Array, values: NDArray[np.int64], is_fixed: NDArray[np.bool_]
 ) -> tuple[Array, Array]:
     """Return derivatives at events, whose times change, and those of the times.
 
@@ -296,11 +302,27 @@ def _at_events(
 
     derivatives : at fixed times, [column][direction][event].
     in_time : time derivatives, [column][event].   values : column of each event's g.
+    is_fixed : True for events whose times do not change.
     """
     at = np.arange(len(values))
     with np.errstate(divide="ignore", invalid="ignore"):  # an event that only touches zero
         times = -derivatives[values, :, at].T / in_time[values, at]
+    times[:, is_fixed] = 0.0
+    with np.errstate(invalid="ignore"):
         return derivatives + in_time[:, None] * times, times
+
+
+def _at_ticks(
+    model: Model, trajectories: NDArray[np.int64], events: NDArray[np.int64], times: Array
+) -> NDArray[np.bool_]:
+    """Return whether events read outputs of controllers, and are at ticks, where these jump."""
+    reads = np.array(["controls" in f.form for e in model.events for f in e.kind.functions[:1]])
+    is_tick = np.zeros(len(times), dtype=bool)
+    for controller in model.controllers:
+        every = np.ravel(controller.parameters["every"])
+        period = every[trajectories] if len(every) > 1 else every
+        is_tick |= np.abs(times - np.rint(times / period) * period) <= TICK * np.abs(times)
+    return np.asarray(is_tick & reads[events])
 
 
 def ending_events(ready: Ready, output: Output) -> Iterator[tuple[int, int]]:

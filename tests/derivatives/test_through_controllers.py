@@ -124,3 +124,34 @@ def test_looped_code_carries_them_too():
     assert found == pytest.approx(moved[1], rel=1e-9)
     torque = result.sensitivity("torque", "wheel.servo.gain")[0, 0]
     assert torque == pytest.approx(moved[2], rel=1e-9)
+
+
+@lierb.controller(every=0.25, gain=1.0)
+def echo(r, params):
+    return {"u": params.gain * r[2]}
+
+
+@lierb.event(terminal=True, level=0.6)
+def loud(controls, r, params):
+    return controls.u + 0.1 * r[2] - params.level
+
+
+@pytest.mark.slow
+def test_an_event_by_the_jump_of_an_output_stays_at_its_tick():
+    """z = v t + t²/4: u + z/10 jumps over 0.6 at the tick at 0.5 s, whatever changes."""
+    push = lierb.forces.constant_wrench(force=(0.0, 0.0, 0.5))
+    slide = lierb.Problem(
+        lierb.Body(1.0, (0.1, 0.2, 0.25)), lierb.joints.prismatic(), controllers=echo(),
+        forces=push, events=loud(),
+    )  # fmt: skip
+    names = ("twist0", "echo.gain", "loud.level")
+    result = lierb.integrate(
+        slide, twist0=(0.0, 0.0, 0.0, 0.0, 0.0, 1.0), t_end=3.0, rtol=1e-9, with_respect_to=names
+    )
+    assert result.t[0] == 0.5
+    assert result.summary["status"].to_pylist() == ["event"]
+    for name in names:
+        assert not result.sensitivity("t", name).any()
+    assert abs(result.sensitivity("pose", "twist0")[0, 5, 5] - 0.5) < 1e-12
+    assert abs(result.sensitivity("u", "twist0")[0, 5] - 0.5) < 1e-12
+    assert abs(result.sensitivity("u", "echo.gain")[0, 0] - 0.5625) < 1e-12
