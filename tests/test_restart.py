@@ -397,8 +397,8 @@ def test_end_of_failed_trajectories_names_them():
         ({"t0": 0.5, "t_end": 0.25}, "t_end=0.25; expected a time in s later than t0=0.5"),
         (
             {"t0": 0.105},
-            "t_end=1.0 s is after t0=0.105 s no whole number of steps of dt=0.01 s; the nearest "
-            "are 0.995 and 1.005",
+            "t_end=1.0 s is no multiple of dt=0.01 s, counted from t0=0.105 s; the nearest are "
+            "0.995 and 1.005; dt=0.00994444444 s fits, and so do adaptive steps, rtol=",
         ),
         ({"t0": -1e300}, "t0 is more than 9.0072e+15 steps of dt=0.01 s from 0 s"),
     ],

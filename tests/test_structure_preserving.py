@@ -587,7 +587,7 @@ REFUSED = [
     ("RATTLie", "spherical", {"solver": "subgroup"}, 'needs solver="saddle"'),
     ("Verlet", "spherical", {"cspace": "SO3xR3"}, 'needs cspace="SE3" or "reduced", not'),
     ("RATTLie", "spherical", {"cspace": "reduced"}, 'needs cspace="SE3" or "SO3xR3", not'),
-    ("Verlet", "spherical", {"check": "off"}, "Verlet is for one body on a joint whose motions"),
+    ("Verlet", "spherical", {"check": "off"}, 'Verlet needs check="raise", a start on the joint'),
     ("Verlet", "hook", {}, "proper subgroup of .*, not a hook joint; RATTLie"),
     ("Verlet", "free", {}, "not a free joint; RATTLie takes every joint"),
     ("alpha3", "spherical", {"update": "ambient"}, 'alpha3 needs update="local"'),

@@ -333,7 +333,8 @@ class RunStates(States):
         The problem's own states, the outputs and memory of its controllers, and the length of
         adaptive steps continue too. The result is bit for bit that of one run in which a step ends
         here, as at every tick of a controller. `seed` and `trajectories` must be passed again.
-        `integrate` raises ArgumentError if states or memory would be lost.
+        `integrate` raises ArgumentError if states or memory would be lost by a change of the run;
+        a problem that has neither goes on without them.
 
         Raises
         ------

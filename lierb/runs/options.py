@@ -173,10 +173,12 @@ def _formulation_for(
         raise ArgumentError(
             f"method {method.name} solves for the rows, which need no stabilise=; leave it out"
         )
-    try:
-        return model.formulation(cspace=cspace, solver=own, **options)
-    except ArgumentError as error:
-        raise ArgumentError(f"method {method.name} is for {limits.systems}: {error}") from None
+    if own == "subgroup" and options["check"] != "raise":
+        raise ArgumentError(
+            f'method {method.name} needs check="raise", a start on the joint, not '
+            f"check={brief(options['check'])}"
+        )
+    return model.formulation(cspace=cspace, solver=own, **options)
 
 
 def _require_derivatives(method: Method, model: Model) -> None:

@@ -237,11 +237,14 @@ def checked_steps(dt: float, t_end: float, t0: float) -> int:
     steps = round(length / dt)
     rounding = 4 * sys.float_info.epsilon * largest  # rounding error of the times and of N·dt
     if steps < 1 or abs(length - steps * dt) > 1e-9 * dt + rounding:
+        if steps < 1:
+            raise TimeGridError(f"dt={dt!r} s is longer than the run of {length:.15g} s")
         below = max(int(length / dt), 1)
-        misfit = "no multiple" if t0 == 0.0 else f"after t0={t0!r} s no whole number of steps"
+        since = "" if t0 == 0.0 else f", counted from t0={t0!r} s"
         raise TimeGridError(
-            f"t_end={t_end!r} s is {misfit} of dt={dt!r} s; the nearest are "
-            f"{t0 + below * dt:.15g} and {t0 + (below + 1) * dt:.15g}"
+            f"t_end={t_end!r} s is no multiple of dt={dt!r} s{since}; the nearest are "
+            f"{t0 + below * dt:.15g} and {t0 + (below + 1) * dt:.15g}; dt={length / steps:.9g} s "
+            "fits, and so do adaptive steps, rtol="
         )
     return steps
 

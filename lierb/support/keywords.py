@@ -54,5 +54,6 @@ def no_attribute(
 def _remedy(name: str, synonyms: Mapping[str, str], known: Iterable[str], verb: str) -> str:
     if here := synonyms.get(name) or synonyms.get(name.lower()):
         return f"; {verb} {here}"
-    near = get_close_matches(name, list(known), n=1, cutoff=NEAR)
+    public = [each for each in known if not each.startswith("_")]
+    near = get_close_matches(name, public, n=1, cutoff=NEAR)
     return f". Did you mean {near[0]!r}?" if near else ""
