@@ -385,7 +385,7 @@ def test_values_are_those_without_derivatives(dataset, tmp_path):
 
 def test_bits_do_not_depend_on_parts_or_threads(dataset, tmp_path):
     lierb.run(Study.of(tables()), tmp_path / "out", changes={"output.part": 100}, threads=2)
-    assert len(derivatives_of(tmp_path / "out")) == 9
+    assert len(derivatives_of(tmp_path / "out")) == 12
     assert bits(tmp_path / "out") == bits(dataset.folder)
 
 
@@ -436,7 +436,7 @@ def test_a_replay_has_the_bits_of_the_study(dataset):
     stored = dataset.table().to_table().slice(17, 1)
     assert stored["trajectory"].to_pylist() == [17]
     names = [name for name in stored.column_names if "/" in name]
-    assert len(names) == 9
+    assert len(names) == 12
     for name in names:
         assert ends[name].to_pylist() == stored[name].to_pylist(), name
     ((_, again),) = replay(Study.of(tables()), 17)
@@ -543,14 +543,14 @@ def test_forces_that_switch_are_foreseen():
 
 
 def test_parts_are_smaller_for_derivatives(monkeypatch):
-    """Three copies in memory of 13 numbers by 10, at 101 saved times and the end."""
+    """Three copies in memory of 14 numbers by 10, at 101 saved times and the end."""
     many = tables(n=10**6) | {"output": {"part": 10**6}}
     study = Study.of(many)
-    assert bytes_of_derivatives(study) == 3 * 8 * 13 * 10
-    assert part_size(study) == int(HISTORY_BYTES / (3 * 8 * 13 * 10))
+    assert bytes_of_derivatives(study) == 3 * 8 * 14 * 10
+    assert part_size(study) == int(HISTORY_BYTES / (3 * 8 * 14 * 10))
     many["integrate"]["save_every"] = 1
     saved = Study.of(many)
-    assert bytes_of_derivatives(saved) == 102 * 3 * 8 * 13 * 10
+    assert bytes_of_derivatives(saved) == 102 * 3 * 8 * 14 * 10
     assert part_size(saved) < HISTORY_BYTES / bytes_of_derivatives(saved)
     many["integrate"]["sensitivities"] = []
     assert bytes_of_derivatives(Study.of(many)) == 0

@@ -16,6 +16,7 @@ from lierb.errors import ArgumentError, FailedTrajectoryWarning, unknown_name
 from lierb.kernels.systems.plan import MechanismPlan
 from lierb.kernels.systems.system_of import plan_with_derivatives
 from lierb.model.base import Model
+from lierb.model.connections import NOWHERE
 from lierb.model.mechanism.mechanism import Mechanism
 from lierb.model.problem import Problem
 from lierb.runs.adjoint import gains_of
@@ -95,7 +96,8 @@ def gradient(
         Name of an observable of one number (`lierb.observable`), or "energy". An integral over the
         run is the end value of an extra state (`lierb.states`) that an observable returns.
     with_respect_to : str or iterable of str, optional
-        Parameters, as in `integrate`. Default: all.
+        Parameters, as in `integrate`. Default: all, each number by one name; starts as twist0 and
+        pose0.
     twist0 : array_like, shape (6,) or (n, 6), or dict of them, optional
         Twist at t0, as in `integrate`.
     pose0 : array_like, Rotation or RigidTransform, (4, 4) or (n, 4, 4), or dict of them, optional
@@ -189,10 +191,17 @@ def gradient(
 
 
 def _all(prepared: Ready) -> Iterator[Parameter]:
-    """Yield all parameters that can change but omega0, which is a part of twist0."""
-    fixed = fixed_names(prepared)
+    """Yield all parameters that can change, each number by one name.
+
+    omega0 is a part of twist0, and a joint's point on its parent has two names.
+    """
+    other_names = fixed_names(prepared)
+    for at in prepared.model.joints:
+        if at.name:
+            other = "parent_point" if at.parent == NOWHERE else "ground_point"
+            other_names.add(f"{at.name}.joint.{other}")
     for name, parameter in parameters_by_name(prepared.model).items():
-        if name not in fixed and not name.endswith("omega0"):
+        if name not in other_names and not name.endswith("omega0"):
             yield parameter
 
 

@@ -62,9 +62,11 @@ class LinearTheory(NamedTuple):
         if not self.parts_at:
             return ""
         where = ", ".join(percent(p) for p in self.parts_at)
+        without = ", ".join(self.left_out)
         return (
-            f"{self.setting.label}: linear theory does not hold for {self.name}; at {where} its "
-            f"percentile is outside the {CONFIDENCE:.0%} interval of the sampled one"
+            f"{self.setting.label}: linear theory{f', without {without},' if without else ''} does "
+            f"not hold for {self.name}; at {where} its percentile is outside the "
+            f"{CONFIDENCE:.0%} interval of the sampled one"
         )
 
 
@@ -117,6 +119,7 @@ def _of_setting(
     some = {name: values[chosen] for name, values in rows.items()}
     covariances = {name: study.design.quantities[name].moments[1] for name in study.design.drawn}
     along, missing = _along_parameters(study, some, covariances)
+    missing |= _noises(study)
     schema = dataset.table().schema
     for output in outputs:
         values = rows[output.column][:, output.item]
@@ -143,6 +146,15 @@ def _of_setting(
             ),
             missing,
         )
+
+
+def _noises(study: Study) -> dict[str, str]:
+    """Return the reason why noise of controllers has no share, by its name."""
+    return {
+        f"the noise of {each.name}": "it is drawn at ticks, and is no sampled quantity"
+        for each in study.batch(0, 1).problem.controllers
+        if each.kind.function.draws
+    }
 
 
 def _outputs(study: Study) -> Iterator[_Output]:
