@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from lierb.errors import ArgumentError
-from lierb.kernels.loops.record import state_columns
+from lierb.kernels.loops.ends import state_columns
 from lierb.kernels.stepping.clock import Clock, StepClock
 from lierb.kernels.systems.plan import AnyPlan, MechanismPlan, Plan
 from lierb.kernels.systems.signals import lane_end, states_of

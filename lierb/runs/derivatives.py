@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lierb.errors import ArgumentError
-from lierb.kernels.loops.record import end_columns, end_parts, state_columns
+from lierb.kernels.loops.ends import end_columns, end_parts, state_columns
 from lierb.kernels.systems.layout import FEW_DIRECTIONS, MANY_DIRECTIONS, Columns
 from lierb.kernels.systems.plan import AnyPlan, MechanismPlan
 from lierb.kernels.systems.signals import events_of

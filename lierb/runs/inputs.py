@@ -11,8 +11,8 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import NDArray
 
+from lierb.kernels.loops.ends import end_columns
 from lierb.kernels.loops.job import BODIES, POSES, TWISTS
-from lierb.kernels.loops.record import end_columns
 from lierb.kernels.systems.layout import Columns, Field
 from lierb.kernels.systems.plan import AnyPlan
 from lierb.model.base import Model

@@ -12,10 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lierb.kernels.functions.source_lines import line_that_raised
+from lierb.kernels.loops.ends import end_columns, end_parts
 from lierb.kernels.loops.record import (
     carried_columns,
-    end_columns,
-    end_parts,
     history_columns,
     lane_column,
     summary_columns,

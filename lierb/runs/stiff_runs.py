@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from lierb.errors import StiffStepWarning
-from lierb.kernels.loops.record import end_columns
+from lierb.kernels.loops.ends import end_columns
 from lierb.kernels.systems.plan import AnyPlan
 from lierb.kernels.systems.system_of import system_of
 from lierb.kernels.systems.unknowns import Unknowns

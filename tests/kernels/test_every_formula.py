@@ -57,7 +57,7 @@ LOOPS = {  # code of Numba's, and what it works on
     "stepping.clock.time_of",
 }  # fmt: skip
 NO_NUMBERS = {  # abstract, or of other things
-    "loops.record.lane_input",
+    "loops.ends.lane_input",
     "mechanics.axis_rows.AxisRow.moved",
     "mechanics.constraints.smooth_residuals",  # for systems.descriptor
     "mechanics.rows.Row.prescribed_slope",  # likewise

@@ -22,6 +22,7 @@ from lierb.kernels.loops.advance import (
     is_invariant,
     tidy,
 )
+from lierb.kernels.loops.ends import resumed_record, resumed_state, store_end
 from lierb.kernels.loops.job import BODIES, RESUMED, TWISTS, UNSEEN
 from lierb.kernels.loops.record import (
     initial_record,
@@ -31,10 +32,7 @@ from lierb.kernels.loops.record import (
     load_given,
     load_placed,
     observe,
-    resumed_record,
-    resumed_state,
     store_carried,
-    store_end,
     with_exceptions,
     without_measures,
 )

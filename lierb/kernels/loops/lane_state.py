@@ -6,16 +6,14 @@ from itertools import islice
 from typing import Any, NamedTuple
 
 from lierb.kernels.functions.function import size_of
+from lierb.kernels.loops.ends import lane_input, resumed_record, state_columns
 from lierb.kernels.loops.record import (
     Record,
     carried_columns,
     initial_record,
     initial_state,
-    lane_input,
     load_carried,
     load_placed,
-    resumed_record,
-    state_columns,
     store_carried,
     with_all_parts,
 )

@@ -20,17 +20,11 @@ from lierb.kernels.loops import lane_between as inner
 from lierb.kernels.loops import lane_state
 from lierb.kernels.loops import lane_steps as steps
 from lierb.kernels.loops import workspace as ws
+from lierb.kernels.loops.ends import resumed_state, store_end
 from lierb.kernels.loops.event_state import AT_THETA
 from lierb.kernels.loops.job import BODIES, RESUMED, TWISTS, UNSEEN
 from lierb.kernels.loops.lane_state import any_of, put_row, row_of, select
-from lierb.kernels.loops.record import (
-    load_body,
-    load_given,
-    resumed_state,
-    store_end,
-    with_exceptions,
-    with_rank,
-)
+from lierb.kernels.loops.record import load_body, load_given, with_exceptions, with_rank
 from lierb.kernels.loops.sharing import pack, take_share
 from lierb.kernels.loops.states_in_memory import (
     clear_errors,

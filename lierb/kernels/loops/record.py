@@ -14,7 +14,6 @@ from lierb.kernels.numbers.arithmetic import (
     maximum,
     plain,
     real,
-    scatter,
     sqrt,
     store,
     where,
@@ -28,7 +27,6 @@ from lierb.kernels.systems.derivatives import (
     on_values,
     parts_side_by_side,
     seeded,
-    seeds_of_state,
     with_parts,
 )
 from lierb.kernels.systems.layout import LANE_SUMMARY, Columns, Field
@@ -52,7 +50,7 @@ from lierb.kernels.systems.observables import (
 )
 from lierb.kernels.systems.one_body import LARGEST
 from lierb.kernels.systems.plan import AnyPlan, MechanismPlan
-from lierb.kernels.systems.signals import controller_fields, lane_end, signals_width
+from lierb.kernels.systems.signals import controller_fields, signals_width
 from lierb.kernels.systems.state import NON_FINITE, OK, RAISED, State
 from lierb.kernels.systems.system_of import in_memory, system_of
 from lierb.kernels.systems.tree_places import STATE_ROWS
@@ -130,14 +128,14 @@ def history_columns(plan: AnyPlan) -> int:
     return own + len(JOINT_ERRORS) * len(system_of(plan).joints) + signals_width(plan)
 
 
-def _columns(plan: AnyPlan, array: Any, columns: range, first: Any) -> list[Any]:
+def load_columns(plan: AnyPlan, array: Any, columns: range, first: Any) -> list[Any]:
     return [load(array, (c, first), plan.lanes) for c in columns]
 
 
 def load_inputs(plan: AnyPlan, inputs: Any) -> list[Any]:
     """Load the inputs, with their derivatives, except a state to continue from."""
     columns = system_of(plan).inputs
-    return seeded(plan, columns, _columns(plan, inputs, range(columns["state"].start), 0))
+    return seeded(plan, columns, load_columns(plan, inputs, range(columns["state"].start), 0))
 
 
 def load_values(plan: AnyPlan, inputs: Any) -> list[Any]:
@@ -197,34 +195,6 @@ def with_turns(record: Record, turns: Any, counts: Any) -> Record:
     return record._replace(turns=more)
 
 
-def resumed_state(plan: AnyPlan, body: Any, inputs: Any) -> State:
-    """Load the state that a run continues from."""
-    if plan.is_looped:
-        return in_memory(plan).resumed(body, inputs)
-    at = system_of(plan).inputs["state"]
-    numbers: Any = _columns(plan, inputs, range(at.start, at.stop), 0)
-    seeds = seeds_of_state(plan, system_of(plan).inputs)
-    if seeds:
-        numbers = with_parts(plan, numbers, _columns(plan, inputs, seeds, 0))
-    state: State = system_of(plan).state_of(numbers, body)
-    return with_all_parts(plan, state)
-
-
-def resumed_record(plan: AnyPlan, body: Any, inputs: Any, record: Record) -> Record:
-    """Return the record with the rank of the run that is continued, unless its rows differ."""
-    if not plan.keeps_rank:
-        return record
-    dropped = load(inputs, (lane_input(plan, body), 0), plan.lanes)
-    return record._replace(dropped=where(dropped == dropped, dropped, record.dropped))
-
-
-def lane_input(plan: AnyPlan, body: Any) -> Any:
-    """Return the first column of `lane_end` in the inputs."""
-    if plan.is_looped:
-        return in_memory(plan).lane_column(body)
-    return system_of(plan).inputs["lane"].start
-
-
 def with_rank(plan: AnyPlan, body: Any, record: Record) -> Any:
     """Return the body with the number of rows that were redundant at the start."""
     return body._replace(dropped=record.dropped)
@@ -233,7 +203,7 @@ def with_rank(plan: AnyPlan, body: Any, record: Record) -> Any:
 def load_carried(plan: AnyPlan, body: Any, carried: Any, first: Any) -> tuple[State, Record]:
     """Load state, record and exception flags of a block, from the last call."""
     columns = carried_columns(plan)
-    parts = columns.parts(_columns(plan, carried, range(columns.count), first))
+    parts = columns.parts(load_columns(plan, carried, range(columns.count), first))
     whole = with_parts(plan, parts["state"], parts["parts"])
     state = with_all_parts(plan, system_of(plan).state_of(whole, body))
     numbers = (parts[name][0] for name in ("first_energy", "status", "failed_step", "dropped"))
@@ -268,66 +238,6 @@ def store_carried(
         store(carried, (c, first), number, plan.lanes)
     if plan.is_looped:
         in_memory(plan).store_state(body, carried, carried_columns(plan).count, first)
-
-
-def store_end(
-    plan: AnyPlan, body: Any, state: State, record: Record, ends: Any, column: Any
-) -> None:
-    """Store the state, and the rank at the start, for a run that continues; then derivatives."""
-    _store_end_values(plan, body, state, record, ends, column)
-    if end_parts(plan):
-        numbers = flatten(state)
-        parts = parts_side_by_side(tuple(numbers[c] for c in state_columns(plan)), plan.directions)
-        first = len(end_columns(plan))
-        scatter(ends, 1, [(first + c, column) for c in range(len(parts))], parts, plan.lanes)
-
-
-@on_values
-def _store_end_values(
-    plan: AnyPlan, body: Any, state: State, record: Record, ends: Any, column: Any
-) -> None:
-    first: Any = 0
-    going_on: list[Any] = []
-    if plan.is_looped:
-        in_memory(plan).store_end(body, state, ends, column)
-        first = in_memory(plan).end_columns(body)
-    else:
-        numbers = [*flatten(state)]
-        going_on = [numbers[c] for c in state_columns(plan)]
-    if plan.keeps_rank:
-        going_on.append(record.dropped)
-    if not going_on:
-        return
-    places = [(first + c, column) for c in range(len(going_on))]
-    scatter(ends, 1, places, going_on, plan.lanes)
-
-
-@lru_cache(64)
-def end_columns(plan: AnyPlan) -> tuple[int, ...]:
-    """Return the columns of a state to continue from that are stored at the end of a run.
-
-    They are `state_columns`, then `lane_end`.
-    """
-    first = system_of(plan).state.count
-    return (*state_columns(plan), *range(first, first + lane_end(plan).count))
-
-
-def end_parts(plan: AnyPlan) -> int:
-    """Return the number of derivatives of a state that are stored at the end of a run."""
-    is_in_memory = plan.is_looped or (isinstance(plan, MechanismPlan) and plan.is_in_memory)
-    return 0 if is_in_memory else plan.directions * len(state_columns(plan))
-
-
-@lru_cache(64)
-def state_columns(plan: AnyPlan) -> tuple[int, ...]:
-    """Return the indices of a state's numbers that are stored at the end of a run.
-
-    W is not stored, since it is counted from the start of a run.
-    """
-    columns = system_of(plan).state
-    numbers = flatten(system_of(plan).state_of((1.0,) * columns.count))
-    work = columns.index("work")
-    return tuple(c for c, number in enumerate(numbers) if c != work and not is_zero(number))
 
 
 def with_exceptions(plan: AnyPlan, record: Record, k: Any) -> Record:
@@ -446,8 +356,7 @@ def without_measures(plan: AnyPlan, record: Record, seen: Record) -> Record:
 
 
 for _formula in (
-    load_body, load_placed, load_given, initial_state, initial_record, resumed_state,
-    resumed_record, with_rank, load_carried, store_carried, observe, without_measures,
-    with_exceptions, store_end,
+    load_body, load_placed, load_given, initial_state, initial_record, with_rank, load_carried,
+    store_carried, observe, without_measures, with_exceptions,
 ):  # fmt: skip
     kernel(_formula)

@@ -5,13 +5,7 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 from lierb.compiler.loops import histories_at, shared
-from lierb.kernels.loops.record import (
-    Record,
-    exception_flags,
-    load_inputs,
-    load_values,
-    with_rank,
-)
+from lierb.kernels.loops.record import Record, exception_flags, load_inputs, load_values, with_rank
 from lierb.kernels.numbers.arithmetic import prefetch, scatter, sqrt, where
 from lierb.kernels.numbers.dual import Dual, values
 from lierb.kernels.numbers.vec import Vec
