@@ -11,22 +11,30 @@ from numpy.typing import ArrayLike
 
 from lierb.analysis.fit_result import Fit
 from lierb.analysis.fit_task import Task
-from lierb.analysis.identifiability import Direction, Identified, described, of_numbers
+from lierb.analysis.guesses import guessed
+from lierb.analysis.identifiability import (
+    Direction,
+    Identified,
+    described,
+    few_samples,
+    of_numbers,
+)
 from lierb.analysis.measurements import Measurements, measurements
 from lierb.analysis.quantities import records_of, require_derivatives
-from lierb.analysis.unknowns import Unknowns, guessed
+from lierb.analysis.unknowns import Unknowns
 from lierb.analysis.varied_runs import Runs, runs_of
 from lierb.api import checked_model
 from lierb.errors import ArgumentError, brief
 from lierb.model.base import Model
 from lierb.model.mechanism.mechanism import Mechanism
 from lierb.model.problem import Problem
-from lierb.runs.parameters import Parameter, chosen_parameters
+from lierb.runs.parameters import Parameter, separate_parameters
 from lierb.runs.switches import warn_of_switches
 from lierb.runs.variations import Variation, Varied, fixed_directions, with_directions, with_start
 from lierb.support.arrays import Array, is_whole
 from lierb.support.collected_warnings import warnings_collected
 from lierb.support.extras import require
+from lierb.support.representations import counted
 
 ROUNDS = 5  # beginnings from the last estimate, at most
 FIRST_STEP = 0.3  # largest first change of all unknowns, of their sizes; later ones may be larger
@@ -61,6 +69,7 @@ def fit(
         differ. A missing sample is NaN. Columns are "omega", "v", "twist", "position", "rotation"
         (or "R"), "quaternion", "pose", "coordinates", "energy", names of observables and states,
         "lambda" and "reaction"; for a mechanism "rod.omega", "rod.coordinates", "pin.reaction".
+        A quaternion is (w, x, y, z) of length 1.
         `Result.history` and its data frames are such tables.
     parameters : str, iterable of str, or mapping
         Parameters by the names of `with_respect_to` in `integrate`, or a dictionary with a guess
@@ -145,7 +154,7 @@ def chosen_and_guesses(
     """Return the parameters of a fit, and their guesses by name. Raises ArgumentError."""
     guesses = dict(parameters) if isinstance(parameters, Mapping) else {}
     names = [*guesses] if isinstance(parameters, Mapping) else parameters
-    chosen = chosen_parameters(model, names)
+    chosen = separate_parameters(model, names)
     if not chosen:
         raise ArgumentError("parameters is empty; expected names, such as body.mass")
     for column in given.columns:
@@ -161,7 +170,8 @@ def require_whole(argument: str, given: Any) -> None:
 
 def fit_runs(given: Measurements, t0: Any, t_end: Any, options: dict[str, Any]) -> Runs:
     """Return the runs that save the measured quantities at the times of the data."""
-    return runs_of(given.t, t0, t_end, records_of([c.quantity for c in given.columns]), options)
+    record = records_of([c.quantity for c in given.columns])
+    return runs_of("data: t", given.t, t0, t_end, record, options)
 
 
 def _of_trajectories(base: Varied, count: int, parameters: tuple[Parameter, ...]) -> Varied:
@@ -169,8 +179,8 @@ def _of_trajectories(base: Varied, count: int, parameters: tuple[Parameter, ...]
     own = base.batch_size
     if own not in (1, count):
         raise ArgumentError(
-            f"data has {count} trajectories and the problem with its start {own}; expected as "
-            "many, or one for all"
+            f"data has {counted(count, 'trajectory', 'trajectories')} and the problem with its "
+            f"start {own}; expected as many, or one for all"
         )
     if count == 1:
         return base
@@ -190,10 +200,8 @@ def _solved(variation: Variation, data: Measurements, runs: Runs, bounds: Any, m
     variation = Variation(variation.base, parameters, variation.t0)
     evaluations, task = 0, Task(variation, data, runs)
     if data.size < task.unknowns.size:
-        raise ArgumentError(
-            f"parameters has {task.unknowns.size} unknown numbers and data {data.size} samples; "
-            "expected no more unknowns than samples"
-        )
+        samples = few_samples(data.size, task.unknowns.size)
+        raise ArgumentError(f"data has {samples}; expected as many samples or more")
     for _ in range(ROUNDS):
         before = task.unknowns
         x, solution = _minimised(task, bounds, max(most - evaluations, 1))

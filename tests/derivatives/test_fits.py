@@ -435,11 +435,13 @@ GOOD = {"t": [0.5, 1.0], "omega": np.zeros((2, 4, 3))}
     ("data", "more", "message"),
     [
         (GOOD, {"parameters": ()}, "parameters is empty"),
-        (GOOD, {"parameters": {DAMPING: [0.1, 0.2]}}, "expected 1 finite numbers"),
+        (GOOD, {"parameters": {DAMPING: [0.1, 0.2]}}, r"a finite number, or .*\(4, 1\)"),
+        (GOOD, {"parameters": ["omega0", "twist0"]}, "omega0 is a part of twist0"),
+        (GOOD | {"t": [-0.5, 1.0]}, {}, "data: t has -0.5 s"),
         (GOOD, {"max_iterations": 0}, "expected a whole number"),
         (GOOD, {"progress": 3}, "progress=3"),
         (GOOD, {"bounds": {}}, "option='bounds' is unknown"),
-        (GOOD, {"twist0": np.zeros((3, 6))}, "data has 4 experiments of 1 trajectories"),
+        (GOOD, {"twist0": np.zeros((3, 6))}, "data has 4 experiments of 1 trajectory,"),
         (GOOD, {"sigma": {}}, "sigma lacks omega"),
         (GOOD, {"pose0": np.diag([1.0, 2.0, 1.0, 1.0])}, "pose0"),
         (GOOD, {"dt": 0.3}, "t_end"),
@@ -450,7 +452,7 @@ GOOD = {"t": [0.5, 1.0], "omega": np.zeros((2, 4, 3))}
             "number of trajectories by experiment",
         ),
         ([[GOOD], [GOOD, GOOD]], {}, r"data\[1\] has 8 trajectories and data\[0\] 4"),
-        ({"t": [0.5], "omega": np.full((1, 2, 3), np.nan)}, {}, "experiment 0 0 samples"),
+        ({"t": [0.5], "omega": np.full((1, 2, 3), np.nan)}, {}, "no experiment has enough data"),
     ],
 )  # fmt: skip
 def test_arguments_that_do_not_fit_are_refused(data, more, message):
