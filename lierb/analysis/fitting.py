@@ -39,6 +39,7 @@ from lierb.support.representations import counted
 ROUNDS = 5  # beginnings from the last estimate, at most
 FIRST_STEP = 0.3  # largest first change of all unknowns, of their sizes; later ones may be larger
 MOVED = 1e-10  # relative change of an estimate that counts as none
+AT_BOUND = 1e-6  # distance from a bound, in first steps, that counts as none
 TOLERANCES = {"ftol": 1e-13, "xtol": 1e-11, "gtol": 1e-15}
 
 
@@ -80,6 +81,7 @@ def fit(
         all weights are 1, and the covariance is scaled by the variance of the residuals.
     bounds : mapping, optional
         Pairs (low, high) by parameter. An inertia needs none: it stays that of a rigid body.
+        `status` of the result names the numbers that end at a bound.
     twist0 : array_like, shape (6,) or (n, 6), or dict of them, optional
         Twist at t0, or its guess, as in `integrate`.
     pose0 : array_like, Rotation or RigidTransform, (4, 4) or (n, 4, 4), or dict of them, optional
@@ -204,7 +206,7 @@ def _solved(variation: Variation, data: Measurements, runs: Runs, bounds: Any, m
         raise ArgumentError(f"data has {samples}; expected as many samples or more")
     for _ in range(ROUNDS):
         before = task.unknowns
-        x, solution = _minimised(task, bounds, max(most - evaluations, 1))
+        x, solution, sides = _minimised(task, bounds, max(most - evaluations, 1))
         evaluations += int(solution.nfev)
         moved = Variation(task.varied(x), variation.parameters, variation.t0)
         task = Task(moved, data, runs, before.sizes)
@@ -214,11 +216,11 @@ def _solved(variation: Variation, data: Measurements, runs: Runs, bounds: Any, m
         begins_again = has_a_path or len(task.told.null)
         if not (begins_again and has_moved) or evaluations >= most:
             break
-    return _report(task, solution, evaluations)
+    return _report(task, solution, evaluations, sides)
 
 
-def _minimised(task: Task, bounds: Any, most: int) -> tuple[Array, Any]:
-    """Return the coordinates of least residuals, and the result of SciPy.
+def _minimised(task: Task, bounds: Any, most: int) -> tuple[Array, Any, Array]:
+    """Return the coordinates of least residuals, the result of SciPy, and `_sides`.
 
     The variables of SciPy are zero at the base. Its first steps are then of length 1 at most.
     """
@@ -233,10 +235,22 @@ def _minimised(task: Task, bounds: Any, most: int) -> tuple[Array, Any]:
         lambda u: task.jacobian(x + scales * u) * scales,
         (low, high), "trf", max_nfev=most, **TOLERANCES,
     )  # fmt: skip
-    return x + scales * solution.x, solution
+    return x + scales * solution.x, solution, _sides(solution, low, high)
 
 
-def _report(task: Task, solution: Any, evaluations: int) -> Fit:
+def _sides(solution: Any, low: Array, high: Array) -> Array:
+    """Return −1 for variables at their lower bounds, 1 at their upper ones, 0 for the others.
+
+    At a bound, a Gauss–Newton step of the variable alone would leave it.
+    """
+    x, curvatures = solution.x, np.sum(solution.jac**2, axis=0)
+    step = -solution.grad / np.where(curvatures > 0.0, curvatures, 1.0)
+    is_low = (x - low <= AT_BOUND) & (step <= low - x)
+    is_high = (high - x <= AT_BOUND) & (step >= high - x)
+    return np.asarray(is_high.astype(float) - is_low)
+
+
+def _report(task: Task, solution: Any, evaluations: int, sides: Array) -> Fit:
     unknowns, varied, result, told = task.unknowns, task.variation.base, task.at_base, task.told
     differences, weighted = task.differences(result), task.weighted(result)
     chi2, freedoms = float(weighted @ weighted), len(weighted) - told.rank
@@ -245,6 +259,9 @@ def _report(task: Task, solution: Any, evaluations: int) -> Fit:
     residuals = {
         column.quantity.name: np.where(column.present, off, np.nan)
         for column, off in zip(task.data.columns, differences, strict=True)
+    }
+    at_bounds = {
+        unknowns.labels[i]: "upper" if sides[i] > 0.0 else "lower" for i in np.flatnonzero(sides)
     }
     model: Any = varied.model
     return Fit(
@@ -258,18 +275,20 @@ def _report(task: Task, solution: Any, evaluations: int) -> Fit:
         units={column.quantity.name: column.quantity.unit for column in task.data.columns},
         has_sigma=task.data.has_sigma,
         chi2=chi2, freedoms=freedoms,
-        converged=bool(solution.status > 0), status=_status(solution), evaluations=evaluations,
+        converged=bool(solution.status > 0), status=_status(solution, at_bounds),
+        evaluations=evaluations, _at_bounds=at_bounds,
     )  # fmt: skip
 
 
-def _status(solution: Any) -> str:
+def _status(solution: Any, at_bounds: Mapping[str, str]) -> str:
     reasons = {
         0: "max_evaluations is reached; raise it, or begin with a better guess",
         1: "the gradient is zero", 2: "the sum of squares decreases no more",
         3: "the estimate changes no more",
         4: "neither the sum of squares nor the estimate changes any more",
     }  # fmt: skip
-    return reasons[int(solution.status)]
+    bounded = [f"{label} is at its {side} bound" for label, side in at_bounds.items()]
+    return "; ".join((reasons[int(solution.status)], *bounded))
 
 
 def described_directions(

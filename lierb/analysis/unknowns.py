@@ -22,7 +22,7 @@ from lierb.runs.variations import Variation
 from lierb.support.arrays import Array, as_floats
 
 RANK = 1e-9  # relative size of directions that joints do not admit
-ROUNDING = 1e-12  # the same of components that joints hold
+ROUNDING = 1e-12  # the same of components that joints hold, and of coordinates at a bound
 
 
 class Charted(NamedTuple):
@@ -245,11 +245,13 @@ class Unknowns:
                 if name in masses:
                     value = 0.5 * np.log(np.maximum(value, np.finfo(float).tiny))
                 end[part] = value
-            at = self.base[part]
-            if np.any(low[part] >= high[part]) or np.any((at < low[part]) | (at > high[part])):
+            at, rounding = self.base[part], ROUNDING * self.scales[part]
+            is_outside = (at < low[part] - rounding) | (at > high[part] + rounding)
+            if np.any(low[part] >= high[part]) or np.any(is_outside):
                 raise ArgumentError(
                     f"bounds[{name!r}]={brief(pair)}; expected low < high, with the guess between"
                 )
+            low[part], high[part] = np.minimum(low[part], at), np.maximum(high[part], at)
         return low, high
 
     def _bounded(self, name: str) -> slice:

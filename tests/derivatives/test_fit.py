@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from functools import cache
 
@@ -10,13 +11,18 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.integrate import solve_ivp
 from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
 
 import lierb
+from derivatives.test_of_mechanisms import double_pendulum
+from lierb.analysis.fitting import _sides
 from lierb.analysis.identifiability import described, identified
 from lierb.analysis.measurements import measurements
 from lierb.analysis.pseudo_inertia import SIZES, body_of, coordinates_of, derivatives_of
+from lierb.analysis.unknowns import Unknowns
 from lierb.errors import InertiaError, LierbError
-from lierb.runs.parameters import SYMMETRIC
+from lierb.runs.parameters import SYMMETRIC, chosen_parameters, separate_parameters
+from lierb.runs.variations import Variation, with_start
 
 TIMES = np.linspace(0.0, 5.0, 51)
 INERTIA = np.array([[0.9, 0.05, -0.02], [0.05, 1.2, 0.03], [-0.02, 0.03, 1.5]])
@@ -480,6 +486,84 @@ def test_bounds_are_kept():
     bounds = {DAMPING: (0.05, 1.0)}
     fit = fitted(pendulum(0.1), data_of(swung(), "omega"), DAMPING, bounds=bounds)
     assert 0.05 <= fit.estimate[DAMPING][0] < 0.0501
+    assert fit.status.endswith(f"; {DAMPING} is at its lower bound")
+    assert f"{DAMPING}  0.05, at its lower bound\n" in repr(fit)
+    told = replace(fit, has_sigma=True, chi2=1e6).misfit
+    assert told.index(f"{DAMPING} is at its lower bound") < told.index("A force may be missing")
+    inside = fitted(pendulum(0.1), data_of(swung(), "omega"), DAMPING, bounds={DAMPING: (0.0, 1.0)})
+    assert "bound" not in inside.status + repr(inside)
+
+
+def test_only_variables_that_a_bound_stops_are_at_it():
+    """Minima of (x − m)²/2: beyond the bounds, inside them, and beside one of them."""
+    minima, low, high = np.array([-3.0, 0.5, 2.0, 1e-8]), np.zeros(4), np.ones(4)
+    for start in (0.2, 0.8):
+        solution = least_squares(lambda x: x - minima, np.full(4, start), bounds=(low, high))
+        assert _sides(solution, low, high).tolist() == [-1.0, 0.0, 1.0, 0.0]
+
+
+@pytest.mark.parametrize("mass", np.linspace(0.1, 1.9, 37))
+def test_a_mass_that_ended_at_its_bound_begins_again_there(mass):
+    """The logarithm of the mass, rounded on the way to the model and back, may lie outside."""
+    coordinate = 0.5 * np.log(mass)
+    for _ in range(3):
+        body = lierb.Body(np.exp(2.0 * coordinate), INERTIA)
+        problem = lierb.Problem(body, lierb.joints.free())
+        chosen = chosen_parameters(problem, ["body.mass", "body.inertia"])
+        unknowns = Unknowns(Variation(with_start(problem, None, None), chosen, 0.0), 1)
+        low, high = unknowns.bounds({"body.mass": (mass, 2.0)})
+        coordinate = unknowns.base[0]
+        assert low[0] <= coordinate <= high[0]
+        assert_allclose(low[0], 0.5 * np.log(mass), rtol=1e-12, atol=1e-15)
+
+
+def test_two_names_of_a_point_and_starts_of_different_links():
+    arm = double_pendulum()
+    with pytest.raises(LierbError, match=r"parent_point is another name of lower.joint.ground_po"):
+        separate_parameters(arm, ["lower.joint.ground_point", "lower.joint.parent_point"])
+    with pytest.raises(LierbError, match=r"lower.omega0 is a part of lower.twist0"):
+        separate_parameters(arm, ["lower.omega0", "upper.omega0", "lower.twist0"])
+    names = ["lower.omega0", "upper.twist0", "lower.pose0", "lower.joint.parent_point"]
+    assert [p.name for p in separate_parameters(arm, names)] == names
+
+
+def test_numbered_components_of_a_data_frame_are_put_together():
+    """`Result.to_pandas` numbers the multipliers: lambda_1 … lambda_5."""
+    rows = np.arange(10.0).reshape(2, 5)
+    data = {"t": [0.5, 1.0]} | {f"lambda_{i + 1}": rows[:, i] for i in range(5)}
+    (column,) = measurements(pendulum(), data, None).columns
+    assert column.quantity.name == "lambda"
+    assert np.array_equal(column.values[:, 0], rows)
+    del data["lambda_4"]
+    with pytest.raises(LierbError, match="data has lambda_1 without lambda_4; expected all"):
+        measurements(pendulum(), data, None)
+
+
+def test_quaternions_may_be_rounded_and_of_either_sign():
+    flight = lierb.Problem(lierb.bodies.sphere(0.1, mass=1.0), lierb.joints.free())
+    turn = Rotation.random(5, rng=3)
+    data = {"t": np.arange(1.0, 6.0), "quaternion": -turn.as_quat(scalar_first=True).round(3)}
+    data["quaternion"][2] = np.nan
+    (column,) = measurements(flight, data, None).columns
+    known = [0, 1, 3, 4]
+    assert_allclose(column.values[known, 0], turn.as_matrix()[known], atol=3e-3)
+    assert not column.present[2].any()
+
+
+@pytest.mark.slow
+def test_a_printed_fit_shows_the_pose_and_what_the_joint_holds():
+    """The rotation vector of a hinge about y at angle φ is (0, φ, 0)."""
+    data = data_of(swung(), "omega", noise=1e-2)
+    lines = repr(fitted(pendulum(), data, "pose0", pose0=pendulum().joint.pose([0.9]))).splitlines()
+    vector = re.search(r"pose0 +rotation vector \(0, (.*), 0\) rad, position \((.*)\) m", lines[1])
+    assert abs(float(vector[1]) - 1.0) < 0.01
+    place = -0.5 * np.array([np.sin(float(vector[1])), 0.0, np.cos(float(vector[1]))])
+    assert_allclose([float(x) for x in vector[2].split(",")], place, rtol=1e-6)
+    held = [i for i in range(6) if lines[2 + i].endswith("ε, held by joints")]
+    assert held == [0, 2, 4, 5]  # at a hinge about y, a body turns about y and moves along its x
+    assert "ε ± " in lines[3]
+    exact = data_of(swung(), "omega")
+    assert "held" not in repr(replace(fitted(pendulum(), exact, "pose0"), chi2=0.0))
 
 
 def test_a_whole_history_is_read_without_the_errors_of_joints():

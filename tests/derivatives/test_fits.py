@@ -319,6 +319,24 @@ def test_experiments_that_fail_are_flagged_and_leave_the_others_alone():
     assert f"{DAMPING}.error" in table.column_names
 
 
+def test_an_experiment_without_samples_leaves_the_others_alone():
+    data = measured(4)
+    whole = fitted(pendulum(0.1), data)
+    data["omega"][:, 2] = np.nan
+    with pytest.warns(FailedFitWarning, match="1 of 4 fits has not converged; the first is fit 2"):
+        many = fitted(pendulum(0.1), data)
+    assert many.converged.tolist() == [True, True, False, True]
+    assert many.status[2] == "too few data: 0 samples for 3 unknown numbers"
+    assert many.iterations[2] == 0
+    for name in many.parameters:
+        assert np.isnan(many.estimate[name][2]).all()
+        assert np.isnan(many.standard_errors[name][2]).all()
+        assert_allclose(many.estimate[name][[0, 1, 3]], whole.estimate[name][[0, 1, 3]], rtol=1e-12)
+    assert np.isnan(many.covariance[2]).all()
+    assert np.isnan(many.chi2[2])
+    assert sum("held by joints" in line for line in repr(many).splitlines()) == 2
+
+
 def test_max_iterations_is_reported():
     with pytest.warns(FailedFitWarning, match="max_iterations is reached"):
         many = fitted(pendulum(0.1, 0.0), measured(2), max_iterations=1)
