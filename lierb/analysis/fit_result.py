@@ -256,13 +256,13 @@ class Fit(Estimates):
 
 
 def lines_of_poses(
-    poses: Array, labels: Sequence[str], spreads: Sequence[str]
+    poses: Array, labels: Sequence[str], spreads: Sequence[str], what: str = ""
 ) -> Iterator[tuple[str, str]]:
     """Yield a line for each pose C, followed by those of the numbers of ε in C exp ε."""
     for i, pose in enumerate(poses.reshape(-1, 4, 4)):
         own = slice(6 * i, 6 * i + 6)
         turned, place = (_listed(x) for x in (so3.log(pose[:3, :3]), pose[:3, 3]))
-        text = f"rotation vector {turned} rad, position {place} m; ε of C exp ε:"
+        text = f"{what}rotation vector {turned} rad, position {place} m; ε of C exp ε:"
         yield labels[own][0].rpartition("[")[0], text
         yield from zip(labels[own], (f"ε{spread}" for spread in spreads[own]), strict=True)
 

@@ -185,7 +185,7 @@ class Fits(Estimates):
             for held, deviation, ratio in zip(is_held, scatter, ratios, strict=True)
         ]
         if name.endswith("pose0"):
-            yield from lines_of_poses(_mean_pose(values), labels, spreads)
+            yield from lines_of_poses(_mean_pose(values), labels, spreads, "mean ")
             return
         for label, mean, spread in zip(labels, values.mean(axis=0).ravel(), spreads, strict=True):
             yield label, f"mean {mean:.6g}{spread}"

@@ -542,7 +542,7 @@ def test_numbered_components_of_a_data_frame_are_put_together():
 def test_quaternions_may_be_rounded_and_of_either_sign():
     flight = lierb.Problem(lierb.bodies.sphere(0.1, mass=1.0), lierb.joints.free())
     turn = Rotation.random(5, rng=3)
-    data = {"t": np.arange(1.0, 6.0), "quaternion": -turn.as_quat(scalar_first=True).round(3)}
+    data = {"t": np.arange(1.0, 6.0), "quaternion": -turn.as_quat()[:, [3, 0, 1, 2]].round(3)}
     data["quaternion"][2] = np.nan
     (column,) = measurements(flight, data, None).columns
     known = [0, 1, 3, 4]
