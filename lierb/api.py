@@ -279,11 +279,13 @@ def integrate_model(
     progress: Progress = None,
     stacklevel: int = 2,
     has_tables: bool = True,
+    argument: str = "with_respect_to",
 ) -> Result:
     """Integrate a model with validated options; arguments as in `integrate`.
 
     has_tables : False for derivatives of the history without tables, for `Result.sensitivity`
     alone.   stacklevel : stack level of warnings; 2 is the caller of this function.
+    argument : the caller's name of `with_respect_to`, for messages.
     """
     model.require_unchanged()
     check_progress(progress)
@@ -291,7 +293,7 @@ def integrate_model(
     prepared = ready(model, options, pose0, twist0)
     require_memory(prepared)
     if parameters:
-        require_differentiable(prepared, parameters)
+        require_differentiable(prepared, parameters, argument)
         warn_of_switches(model, stacklevel=stacklevel + 1)
     warn_of_stiff_steps(prepared, stacklevel=stacklevel + 1)
     described = provenance(prepared)

@@ -63,7 +63,7 @@ class Gradient(Represented):
         return self.parts[name]
 
     def _representation(self) -> tuple[str, Lines]:
-        title = f"gradient of {self.of}, {counted(len(self.value), 'trajectory')}"
+        title = f"gradient of {self.of}, {counted(len(self.value), 'trajectory', 'trajectories')}"
         rows = [
             (name, f"{np.array2string(part[0], precision=6)} per {self.units[name]}")
             for name, part in self.parts.items()
@@ -180,8 +180,9 @@ def gradient(
     )
     failed = int(np.isnan(gains[-1]).sum())
     if failed:
+        has = "has" if failed == 1 else "have"
         warnings.warn(
-            f"{counted(failed, 'trajectory')} failed and have no gradient; "
+            f"{counted(failed, 'trajectory', 'trajectories')} failed and {has} no gradient; "
             "lierb.integrate says why",
             FailedTrajectoryWarning,
             stacklevel=2,

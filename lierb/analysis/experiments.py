@@ -14,6 +14,7 @@ from lierb.errors import ArgumentError, LierbError
 from lierb.model.base import Model
 from lierb.runs.variations import Varied
 from lierb.support.arrays import Array, items_at
+from lierb.support.representations import counted
 
 
 def measured_experiments(model: Model, data: Any, sigma: Any) -> tuple[Measurements, int]:
@@ -30,7 +31,8 @@ def measured_experiments(model: Model, data: Any, sigma: Any) -> tuple[Measureme
     for i, count in enumerate(counts):
         if count != counts[0]:
             raise ArgumentError(
-                f"data[{i}] has {count} trajectories and data[0] {counts[0]}; expected equally "
+                f"data[{i}] has {counted(count, 'trajectory', 'trajectories')} and data[0] "
+                f"{counts[0]}; expected equally "
                 "many in all experiments; missing samples are NaN"
             )
     return given, counts[0]
@@ -85,8 +87,9 @@ def of_experiments(base: Varied, experiments: int, count: int) -> Varied:
     if own not in (1, count, whole):
         several = f", {count} for all experiments" if count > 1 else ""
         raise ArgumentError(
-            f"data has {experiments} experiments of {count} trajectories, and the problem with its "
-            f"start {own}; expected one for all{several}, or {whole}"
+            f"data has {counted(experiments, 'experiment')} of "
+            f"{counted(count, 'trajectory', 'trajectories')}, and the problem with its start "
+            f"{own}; expected one for all{several}, or {whole}"
         )
     if own == 1 or own == whole:
         tiled = np.arange(whole) if own == whole else np.zeros(whole, dtype=np.int64)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from lierb.analysis.identifiability import Direction
 from lierb.errors import unknown_name
+from lierb.lie import so3
 from lierb.model.mechanism.mechanism import Mechanism
 from lierb.model.problem import Problem
 from lierb.results.result import Result
@@ -21,14 +22,16 @@ from lierb.support.representations import FAILED, Lines, Represented, counted
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-MOST_LISTED = 40  # numbers in the table of a description
+MOST_LISTED = 40  # lines of numbers in a description
+HELD = ", held by joints"  # a number of a start that cannot change
+ROUNDED = 12  # decimals of printed poses, whose zeros are rounding errors
 # Least chi2 per freedom f that counts as a misfit, and its least excess over 1, in standard
 # deviations √(2/f) of chi2/f: noise does not reach it, and a sigma rough by a third neither.
 MISFIT, DEVIATIONS = 2.0, 5.0
 
 
 class Estimates(Represented):
-    """Estimates with a line for each number in their description."""
+    """Estimates with lines for their numbers in their description."""
 
     estimate: dict[str, Array]
     labels: tuple[str, ...]
@@ -39,17 +42,17 @@ class Estimates(Represented):
         return tuple(self.estimate)
 
     def _lines(self, name: str, labels: list[str]) -> Iterator[tuple[str, str]]:
-        """Yield a line for each number of a parameter.   labels : of these numbers."""
+        """Yield the lines of a parameter.   labels : of its numbers."""
         raise NotImplementedError
 
     def _numbers(self) -> Iterator[tuple[str, str]]:
-        """Yield the lines of the first numbers, and how many there are beyond."""
+        """Yield the first lines of numbers, and how many there are beyond."""
         lines: list[tuple[str, str]] = []
         for name in self.estimate:
             lines += self._lines(name, [x for x in self.labels if x.partition("[")[0] == name])
         yield from lines[:MOST_LISTED]
         if len(lines) > MOST_LISTED:
-            yield "…", counted(len(lines) - MOST_LISTED, "more number")
+            yield "…", counted(len(lines) - MOST_LISTED, "more line")
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -66,7 +69,7 @@ class Fit(Estimates):
         an axis (n, …) for several trajectories.
     standard_errors : dict of ndarray
         Standard deviation of each number, likewise; of a pose (6,), of ε in C exp ε. Infinite for
-        numbers that the data do not tell.
+        numbers that the data do not tell, 0 for those of a start that joints hold.
     covariance : ndarray, shape (p, p)
         Covariance of all numbers, in the order of `labels`, of the directions that the data tell.
     labels : tuple of str
@@ -94,7 +97,8 @@ class Fit(Estimates):
     converged : bool
         True if the estimate is a minimum, to the tolerance.
     status : str
-        Reason why the iteration has ended.
+        Reason why the iteration has ended, then the numbers that bounds stop, such as
+        "body.mass is at its upper bound". Standard errors do not hold there.
     evaluations : int
         Number of runs without derivatives.
     """
@@ -116,6 +120,7 @@ class Fit(Estimates):
     converged: bool
     status: str
     evaluations: int
+    _at_bounds: Mapping[str, str] = field(default_factory=dict, repr=False, compare=False)
 
     @property
     def reduced_chi2(self) -> float:
@@ -133,10 +138,14 @@ class Fit(Estimates):
         reduced = self.reduced_chi2
         if not is_misfit(reduced, self.freedoms):
             return ""
+        bounded = "".join(
+            f"{label} is at its {side} bound, which may be wrong.\n"
+            for label, side in self._at_bounds.items()
+        )
         return (
             f"the model does not explain the data: residuals are {np.sqrt(reduced):.3g} times "
-            "their sigma.\nA force may be missing, a fixed number wrong, the minimum a local one, "
-            "or sigma too small."
+            f"their sigma.\n{bounded}A force may be missing, a fixed number wrong, the minimum a "
+            "local one, or sigma too small."
         )
 
     def covariance_of(self, *names: str) -> Array:
@@ -229,12 +238,37 @@ class Fit(Estimates):
         return title, rows
 
     def _lines(self, name: str, labels: list[str]) -> Iterator[tuple[str, str]]:
-        values = [f"{x:.7g}" for x in self.estimate[name].ravel()]
-        if name.endswith("pose0"):  # a matrix, whose deviations are those of a change
-            values = ["estimated"] * len(labels)
         deviations = self.standard_errors[name].ravel()
-        for label, value, deviation in zip(labels, values, deviations, strict=True):
-            yield label, f"{value} ± {deviation:.2g}"
+        spreads = [self._spread(*each) for each in zip(labels, deviations, strict=True)]
+        if name.endswith("pose0"):
+            yield from lines_of_poses(self.estimate[name], labels, spreads)
+            return
+        for label, value, spread in zip(labels, self.estimate[name].ravel(), spreads, strict=True):
+            yield label, f"{value:.7g}{spread}"
+
+    def _spread(self, label: str, deviation: float) -> str:
+        """Return the uncertainty of a number as text."""
+        if deviation == 0.0 and (self.has_sigma or self.chi2 > 0.0):
+            return HELD
+        if label in self._at_bounds:
+            return f", at its {self._at_bounds[label]} bound"
+        return f" ± {deviation:.2g}"
+
+
+def lines_of_poses(
+    poses: Array, labels: Sequence[str], spreads: Sequence[str], what: str = ""
+) -> Iterator[tuple[str, str]]:
+    """Yield a line for each pose C, followed by those of the numbers of ε in C exp ε."""
+    for i, pose in enumerate(poses.reshape(-1, 4, 4)):
+        own = slice(6 * i, 6 * i + 6)
+        turned, place = (_listed(x) for x in (so3.log(pose[:3, :3]), pose[:3, 3]))
+        text = f"{what}rotation vector {turned} rad, position {place} m; ε of C exp ε:"
+        yield labels[own][0].rpartition("[")[0], text
+        yield from zip(labels[own], (f"ε{spread}" for spread in spreads[own]), strict=True)
+
+
+def _listed(numbers: Array) -> str:
+    return f"({', '.join(f'{x:.7g}' for x in np.round(numbers, ROUNDED) + 0.0)})"
 
 
 def is_misfit(reduced: Any, freedoms: Any) -> NDArray[np.bool_]:

@@ -11,26 +11,35 @@ from numpy.typing import ArrayLike
 
 from lierb.analysis.fit_result import Fit
 from lierb.analysis.fit_task import Task
-from lierb.analysis.identifiability import Direction, Identified, described, of_numbers
+from lierb.analysis.guesses import guessed
+from lierb.analysis.identifiability import (
+    Direction,
+    Identified,
+    described,
+    few_samples,
+    of_numbers,
+)
 from lierb.analysis.measurements import Measurements, measurements
 from lierb.analysis.quantities import records_of, require_derivatives
-from lierb.analysis.unknowns import Unknowns, guessed
+from lierb.analysis.unknowns import Unknowns
 from lierb.analysis.varied_runs import Runs, runs_of
 from lierb.api import checked_model
 from lierb.errors import ArgumentError, brief
 from lierb.model.base import Model
 from lierb.model.mechanism.mechanism import Mechanism
 from lierb.model.problem import Problem
-from lierb.runs.parameters import Parameter, chosen_parameters
+from lierb.runs.parameters import Parameter, separate_parameters
 from lierb.runs.switches import warn_of_switches
 from lierb.runs.variations import Variation, Varied, fixed_directions, with_directions, with_start
 from lierb.support.arrays import Array, is_whole
 from lierb.support.collected_warnings import warnings_collected
 from lierb.support.extras import require
+from lierb.support.representations import counted
 
 ROUNDS = 5  # beginnings from the last estimate, at most
 FIRST_STEP = 0.3  # largest first change of all unknowns, of their sizes; later ones may be larger
 MOVED = 1e-10  # relative change of an estimate that counts as none
+AT_BOUND = 1e-6  # distance from a bound, in first steps, that counts as none
 TOLERANCES = {"ftol": 1e-13, "xtol": 1e-11, "gtol": 1e-15}
 
 
@@ -61,6 +70,7 @@ def fit(
         differ. A missing sample is NaN. Columns are "omega", "v", "twist", "position", "rotation"
         (or "R"), "quaternion", "pose", "coordinates", "energy", names of observables and states,
         "lambda" and "reaction"; for a mechanism "rod.omega", "rod.coordinates", "pin.reaction".
+        A quaternion is (w, x, y, z) of length 1.
         `Result.history` and its data frames are such tables.
     parameters : str, iterable of str, or mapping
         Parameters by the names of `with_respect_to` in `integrate`, or a dictionary with a guess
@@ -71,6 +81,7 @@ def fit(
         all weights are 1, and the covariance is scaled by the variance of the residuals.
     bounds : mapping, optional
         Pairs (low, high) by parameter. An inertia needs none: it stays that of a rigid body.
+        `status` of the result names the numbers that end at a bound.
     twist0 : array_like, shape (6,) or (n, 6), or dict of them, optional
         Twist at t0, or its guess, as in `integrate`.
     pose0 : array_like, Rotation or RigidTransform, (4, 4) or (n, 4, 4), or dict of them, optional
@@ -145,7 +156,7 @@ def chosen_and_guesses(
     """Return the parameters of a fit, and their guesses by name. Raises ArgumentError."""
     guesses = dict(parameters) if isinstance(parameters, Mapping) else {}
     names = [*guesses] if isinstance(parameters, Mapping) else parameters
-    chosen = chosen_parameters(model, names)
+    chosen = separate_parameters(model, names)
     if not chosen:
         raise ArgumentError("parameters is empty; expected names, such as body.mass")
     for column in given.columns:
@@ -161,7 +172,8 @@ def require_whole(argument: str, given: Any) -> None:
 
 def fit_runs(given: Measurements, t0: Any, t_end: Any, options: dict[str, Any]) -> Runs:
     """Return the runs that save the measured quantities at the times of the data."""
-    return runs_of(given.t, t0, t_end, records_of([c.quantity for c in given.columns]), options)
+    record = records_of([c.quantity for c in given.columns])
+    return runs_of("data: t", given.t, t0, t_end, record, options)
 
 
 def _of_trajectories(base: Varied, count: int, parameters: tuple[Parameter, ...]) -> Varied:
@@ -169,8 +181,8 @@ def _of_trajectories(base: Varied, count: int, parameters: tuple[Parameter, ...]
     own = base.batch_size
     if own not in (1, count):
         raise ArgumentError(
-            f"data has {count} trajectories and the problem with its start {own}; expected as "
-            "many, or one for all"
+            f"data has {counted(count, 'trajectory', 'trajectories')} and the problem with its "
+            f"start {own}; expected as many, or one for all"
         )
     if count == 1:
         return base
@@ -190,13 +202,11 @@ def _solved(variation: Variation, data: Measurements, runs: Runs, bounds: Any, m
     variation = Variation(variation.base, parameters, variation.t0)
     evaluations, task = 0, Task(variation, data, runs)
     if data.size < task.unknowns.size:
-        raise ArgumentError(
-            f"parameters has {task.unknowns.size} unknown numbers and data {data.size} samples; "
-            "expected no more unknowns than samples"
-        )
+        samples = few_samples(data.size, task.unknowns.size)
+        raise ArgumentError(f"data has {samples}; expected as many samples or more")
     for _ in range(ROUNDS):
         before = task.unknowns
-        x, solution = _minimised(task, bounds, max(most - evaluations, 1))
+        x, solution, sides = _minimised(task, bounds, max(most - evaluations, 1))
         evaluations += int(solution.nfev)
         moved = Variation(task.varied(x), variation.parameters, variation.t0)
         task = Task(moved, data, runs, before.sizes)
@@ -206,11 +216,11 @@ def _solved(variation: Variation, data: Measurements, runs: Runs, bounds: Any, m
         begins_again = has_a_path or len(task.told.null)
         if not (begins_again and has_moved) or evaluations >= most:
             break
-    return _report(task, solution, evaluations)
+    return _report(task, solution, evaluations, sides)
 
 
-def _minimised(task: Task, bounds: Any, most: int) -> tuple[Array, Any]:
-    """Return the coordinates of least residuals, and the result of SciPy.
+def _minimised(task: Task, bounds: Any, most: int) -> tuple[Array, Any, Array]:
+    """Return the coordinates of least residuals, the result of SciPy, and `_sides`.
 
     The variables of SciPy are zero at the base. Its first steps are then of length 1 at most.
     """
@@ -225,10 +235,22 @@ def _minimised(task: Task, bounds: Any, most: int) -> tuple[Array, Any]:
         lambda u: task.jacobian(x + scales * u) * scales,
         (low, high), "trf", max_nfev=most, **TOLERANCES,
     )  # fmt: skip
-    return x + scales * solution.x, solution
+    return x + scales * solution.x, solution, _sides(solution, low, high)
 
 
-def _report(task: Task, solution: Any, evaluations: int) -> Fit:
+def _sides(solution: Any, low: Array, high: Array) -> Array:
+    """Return −1 for variables at their lower bounds, 1 at their upper ones, 0 for the others.
+
+    At a bound, a Gauss–Newton step of the variable alone would leave it.
+    """
+    x, curvatures = solution.x, np.sum(solution.jac**2, axis=0)
+    step = -solution.grad / np.where(curvatures > 0.0, curvatures, 1.0)
+    is_low = (x - low <= AT_BOUND) & (step <= low - x)
+    is_high = (high - x <= AT_BOUND) & (step >= high - x)
+    return np.asarray(is_high.astype(float) - is_low)
+
+
+def _report(task: Task, solution: Any, evaluations: int, sides: Array) -> Fit:
     unknowns, varied, result, told = task.unknowns, task.variation.base, task.at_base, task.told
     differences, weighted = task.differences(result), task.weighted(result)
     chi2, freedoms = float(weighted @ weighted), len(weighted) - told.rank
@@ -237,6 +259,9 @@ def _report(task: Task, solution: Any, evaluations: int) -> Fit:
     residuals = {
         column.quantity.name: np.where(column.present, off, np.nan)
         for column, off in zip(task.data.columns, differences, strict=True)
+    }
+    at_bounds = {
+        unknowns.labels[i]: "upper" if sides[i] > 0.0 else "lower" for i in np.flatnonzero(sides)
     }
     model: Any = varied.model
     return Fit(
@@ -250,18 +275,20 @@ def _report(task: Task, solution: Any, evaluations: int) -> Fit:
         units={column.quantity.name: column.quantity.unit for column in task.data.columns},
         has_sigma=task.data.has_sigma,
         chi2=chi2, freedoms=freedoms,
-        converged=bool(solution.status > 0), status=_status(solution), evaluations=evaluations,
+        converged=bool(solution.status > 0), status=_status(solution, at_bounds),
+        evaluations=evaluations, _at_bounds=at_bounds,
     )  # fmt: skip
 
 
-def _status(solution: Any) -> str:
+def _status(solution: Any, at_bounds: Mapping[str, str]) -> str:
     reasons = {
         0: "max_evaluations is reached; raise it, or begin with a better guess",
         1: "the gradient is zero", 2: "the sum of squares decreases no more",
         3: "the estimate changes no more",
         4: "neither the sum of squares nor the estimate changes any more",
     }  # fmt: skip
-    return reasons[int(solution.status)]
+    bounded = [f"{label} is at its {side} bound" for label, side in at_bounds.items()]
+    return "; ".join((reasons[int(solution.status)], *bounded))
 
 
 def described_directions(

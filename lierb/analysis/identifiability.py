@@ -144,6 +144,11 @@ def of_numbers(told: Identified | Decomposed, spread: Array, scale: Any) -> tupl
     return covariance, np.where(is_open, np.inf, deviations)
 
 
+def few_samples(samples: int, unknowns: int) -> str:
+    """Return the numbers of samples and unknowns as text, for messages."""
+    return f"{counted(samples, 'sample')} for {counted(unknowns, 'unknown number')}"
+
+
 def _sparse(rows: Array) -> Array:
     """Eliminate between rows, with the largest entries as pivots, and clear what rounding left."""
     rows = rows.copy()

@@ -11,21 +11,28 @@ from numpy.typing import ArrayLike, NDArray
 
 from lierb.analysis.experiments import flat_start, measured_experiments, of_experiments
 from lierb.analysis.fitting import chosen_and_guesses, described_directions, fit_runs, require_whole
-from lierb.analysis.identifiability import Direction, decomposed, identified, of_numbers
+from lierb.analysis.guesses import guessed
+from lierb.analysis.identifiability import (
+    Direction,
+    decomposed,
+    few_samples,
+    identified,
+    of_numbers,
+)
 from lierb.analysis.many_fits_result import Fits
 from lierb.analysis.minimising import Minimisation
 from lierb.analysis.side_by_side import Experiments, State
-from lierb.analysis.unknowns import Unknowns, guessed
+from lierb.analysis.unknowns import Unknowns
 from lierb.api import checked_model
 from lierb.errors import ArgumentError, FailedFitWarning
 from lierb.model.mechanism.mechanism import Mechanism
 from lierb.model.problem import Problem
-from lierb.runs.parameters import Parameter
 from lierb.runs.switches import warn_of_switches
 from lierb.runs.variations import Variation, with_start
 from lierb.support.collected_warnings import warnings_collected
 from lierb.support.memory import require_memory
 from lierb.support.progress import Progress, check_progress, reporter
+from lierb.support.representations import counted
 
 ROOM = 1 << 28  # bytes of the runs at a time; twice as much is no faster
 
@@ -94,8 +101,8 @@ def fits(
     Warns
     -----
     FailedFitWarning
-        Some fits have not converged, or the run of their guess has failed. The other ones are
-        unaffected.
+        Some fits have not converged, have fewer samples than unknowns, or the run of their guess
+        has failed. The other ones are unaffected.
 
     Notes
     -----
@@ -135,35 +142,20 @@ def fits(
     runs = fit_runs(given, t0, t_end, options)
     warn_of_switches(model, stacklevel=3)
     variation = Variation(base, chosen, runs.options(model).timing.t0)
-    by_name = {
-        p.name: _by_trajectory(guesses[p.name], p, given.count // count, count)
-        for p in chosen
-        if p.name in guesses
-    }
     with warnings_collected(), warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        experiments = Experiments(guessed(variation, by_name, given.count), given, count, runs)
+        variation = guessed(variation, guesses, given.count // count, count)
+        experiments = Experiments(variation, given, count, runs)
         many = _solved(experiments, int(max_iterations), progress)
     _warn(many)
     return many
 
 
-def _by_trajectory(guess: Any, p: Parameter, experiments: int, count: int) -> Any:
-    """Return a guess by experiment as one by trajectory; others as they are."""
-    if guess is None or p.is_start or np.ndim(guess) == 0:
-        return guess
-    array = np.asarray(guess)
-    if p.size == 1 and array.shape == (experiments,):
-        array = array[:, None]
-    return np.repeat(array, count, axis=0) if array.shape == (experiments, p.size) else guess
-
-
 def _solved(experiments: Experiments, max_iterations: int, progress: Progress) -> Fits:
-    few = np.flatnonzero(experiments.residuals < experiments.size)
-    if few.size:
+    if not np.any(experiments.residuals >= experiments.size):
+        samples = few_samples(experiments.residuals.max(), experiments.size)
         raise ArgumentError(
-            f"parameters has {experiments.size} unknown numbers and experiment {few[0]} "
-            f"{experiments.residuals[few[0]]} samples; expected no more unknowns than samples"
+            f"no experiment has enough data, at most {samples}; expected as many samples or more"
         )
     each = experiments.bytes_each
     most = max(ROOM // each, 1)
@@ -222,7 +214,8 @@ def _warn(many: Fits) -> None:
     bad = np.flatnonzero(~many.converged)
     if bad.size:
         warnings.warn(
-            f"{bad.size} of {len(many.converged)} fits have not converged; the first is fit "
-            f"{bad[0]}: {many.status[bad[0]]}; `converged` of the result lists them",
+            f"{bad.size} of {counted(len(many.converged), 'fit')} "
+            f"{'has' if bad.size == 1 else 'have'} not converged; the first is fit {bad[0]}: "
+            f"{many.status[bad[0]]}; `converged` of the result lists them",
             FailedFitWarning, stacklevel=3,
         )  # fmt: skip

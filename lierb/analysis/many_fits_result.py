@@ -11,7 +11,7 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from lierb.analysis.fit_result import Estimates, is_misfit
+from lierb.analysis.fit_result import HELD, Estimates, is_misfit, lines_of_poses
 from lierb.analysis.identifiability import Direction
 from lierb.lie import se3
 from lierb.model.mechanism.mechanism import Mechanism
@@ -26,8 +26,9 @@ class Fits(Estimates):
     """Estimates of many experiments by `lierb.fits`, with their uncertainties.
 
     Arrays have an axis of fits, (n, …). An axis of trajectories, (n, m, …), follows for starts of
-    experiments of several trajectories. The estimate of a fit whose first run fails is NaN; one
-    that has not converged is the last point of its iteration: take those of `converged`.
+    experiments of several trajectories. The estimate of a fit whose first run fails, or that has
+    fewer samples than unknowns, is NaN; one that has not converged is the last point of its
+    iteration: take those of `converged`.
 
     Attributes
     ----------
@@ -36,7 +37,7 @@ class Fits(Estimates):
         (n, 4, 4).
     standard_errors : dict of ndarray
         Standard deviation of each number, likewise; of a pose (n, 6), of ε in C exp ε. Infinite
-        for numbers that the data of this experiment do not tell.
+        for numbers that the data of this experiment do not tell, 0 for those that joints hold.
     covariance : ndarray, shape (n, p, p)
         Covariance of all numbers, in the order of `labels`, of the directions that the data tell.
     labels : tuple of str
@@ -176,10 +177,24 @@ class Fits(Estimates):
 
     def _lines(self, name: str, labels: list[str]) -> Iterator[tuple[str, str]]:
         ratios, scatter = (np.ravel(each[name]) for each in (self.ratio, self.scatter))
-        means = np.ravel(np.mean(self.estimate[name][self.converged], axis=0))
-        for i, label in enumerate(labels):
-            mean = "mean pose" if name.endswith("pose0") else f"mean {means[i]:.6g}"
-            yield label, f"{mean}, scatter {scatter[i]:.2g}, {ratios[i]:.3g} standard errors"
+        values, errors = (x[name][self.converged] for x in (self.estimate, self.standard_errors))
+        noisy = self.has_sigma | (self.chi2[self.converged] > 0.0)
+        is_held = np.ravel(np.all(errors[noisy] == 0.0, axis=0)) & noisy.any()
+        spreads = [
+            HELD if held else f", scatter {deviation:.2g}, {ratio:.3g} standard errors"
+            for held, deviation, ratio in zip(is_held, scatter, ratios, strict=True)
+        ]
+        if name.endswith("pose0"):
+            yield from lines_of_poses(_mean_pose(values), labels, spreads, "mean ")
+            return
+        for label, mean, spread in zip(labels, values.mean(axis=0).ravel(), spreads, strict=True):
+            yield label, f"mean {mean:.6g}{spread}"
+
+
+def _mean_pose(poses: Array) -> Array:
+    """Return the mean of poses (n, …, 4, 4), by logarithms from the first one."""
+    first = poses[:1]
+    return np.asarray(first @ se3.exp(se3.log(se3.inverse(first) @ poses).mean(axis=0)))
 
 
 def _spread(deviations: Array) -> Array:

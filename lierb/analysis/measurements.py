@@ -12,7 +12,7 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from lierb.analysis.quantities import QUATERNION, Quantity, quantity_named
+from lierb.analysis.quantities import QUATERNION, Quantity, quantities_of, quantity_named
 from lierb.errors import ArgumentError, brief, unknown_name
 from lierb.kernels.groups import quaternion
 from lierb.kernels.numbers.vec import dot
@@ -26,6 +26,7 @@ from lierb.support.arrays import Array, as_floats, assembled, components
 
 TIMES, TRAJECTORY = "t", "trajectory"
 NOT_MEASURED = {"step"} | {m.name for m in MEASURES if m.name != "energy"}  # of a history
+UNIT = 1e-2  # largest difference of a quaternion's length from 1, that of rounded numbers
 EXPECTED = 'a dictionary or a table with "t" and measured columns, or a list of them'
 
 
@@ -92,8 +93,10 @@ class Measurements:
 
 def measurements(model: Model, data: Any, sigma: Any) -> Measurements:
     """Read and check the data of a fit.   sigma : standard deviations by column, or None."""
-    tables = [_columns(f"data[{i}]", each) for i, each in enumerate(_several(data))]
-    label = "data" if len(tables) == 1 else "data[0]"
+    several = _several(data)
+    labels = ["data"] if len(several) == 1 else [f"data[{i}]" for i in range(len(several))]
+    components = _components(model)
+    tables = [_columns(*each, components) for each in zip(labels, several, strict=True)]
     names = [name for name in tables[0] if name != TIMES]
     for i, table in enumerate(tables):
         if set(table) != {TIMES, *names}:
@@ -102,8 +105,8 @@ def measurements(model: Model, data: Any, sigma: Any) -> Measurements:
                 f"{', '.join(tables[0])}; a missing sample is NaN"
             )
     if not names:
-        raise ArgumentError(f"{label} has no measured column; expected {EXPECTED}")
-    times = [_times(f"data[{i}]" if i else label, table[TIMES]) for i, table in enumerate(tables)]
+        raise ArgumentError(f"{labels[0]} has no measured column; expected {EXPECTED}")
+    times = [_times(label, table[TIMES]) for label, table in zip(labels, tables, strict=True)]
     t = np.unique(np.concatenate(times))
     columns, lengths = [], []
     for name in names:
@@ -133,7 +136,7 @@ def _several(data: Any) -> Sequence[Any]:
     return [data]
 
 
-def _columns(label: str, given: Any) -> dict[str, Any]:
+def _columns(label: str, given: Any, components: Mapping[str, Sequence[str]]) -> dict[str, Any]:
     """Return the columns of a table as arrays; components such as omega_x are put together."""
     if isinstance(given, pa.Table):
         columns = {name: as_array(given[name]) for name in given.column_names}
@@ -144,30 +147,42 @@ def _columns(label: str, given: Any) -> dict[str, Any]:
     else:
         raise ArgumentError(f"{label} is {brief(given)}; expected {EXPECTED}")
     if TIMES not in columns:
-        raise unknown_name(f"{label} has no times; the name", TIMES, columns)
-    return _of_history(_joined(columns))
+        raise ArgumentError(
+            f'{label} has no column "t", the times in s; its columns are '
+            f"{', '.join(map(str, columns)) or 'none'}"
+        )
+    return _of_history(_joined(label, columns, components))
 
 
-def _joined(columns: dict[str, Any]) -> dict[str, Any]:
-    """Put components that have columns of their own together, as `Result.to_pandas` makes them."""
+def _components(model: Model) -> dict[str, list[str]]:
+    """Return the columns of vectors in data frames of `Result.to_pandas`, by quantity."""
+    columns = {}
+    for q in quantities_of(model):
+        numbered = [str(i + 1) for i in range(q.width if q.shape else 0)]
+        parts = COMPONENTS.get(q.name.rpartition(".")[2], numbered)
+        columns[q.name] = [f"{q.name}_{part}" for part in parts]
+    return columns
+
+
+def _joined(
+    label: str, columns: dict[str, Any], components: Mapping[str, Sequence[str]]
+) -> dict[str, Any]:
+    """Put components that have columns of their own together. Raises ArgumentError if some lack."""
+    owners = {part: whole for whole, parts in components.items() for part in parts}
     joined: dict[str, Any] = {}
     for name, values in columns.items():
-        whole, part = _component_of(name)
-        others = [f"{whole}_{x}" for x in COMPONENTS.get(whole.rpartition(".")[2], ())]
-        if not part or any(other not in columns for other in others):
+        whole = owners.get(name)
+        if whole is None:
             joined[name] = values
-        elif whole not in joined:
-            joined[whole] = np.stack([np.asarray(columns[other]) for other in others], -1)
+            continue
+        parts = components[whole]
+        if missing := [part for part in parts if part not in columns]:
+            raise ArgumentError(
+                f"{label} has {name} without {', '.join(missing)}; expected all components of "
+                f"{whole}, NaN where one is not measured"
+            )
+        joined[whole] = np.stack([np.asarray(columns[part]) for part in parts], -1)
     return joined
-
-
-def _component_of(name: str) -> tuple[str, str]:
-    last = name.rpartition(".")[2]
-    for whole, parts in COMPONENTS.items():
-        for part in parts:
-            if last == f"{whole}_{part}":
-                return name.removesuffix(f"_{part}"), part
-    return name, ""
 
 
 def _of_history(columns: dict[str, Any]) -> dict[str, Any]:
@@ -221,12 +236,20 @@ def _values(name: str, given: Any, times: int, quantity: Quantity) -> Array:
         raise ArgumentError(f"data: {name} has infinite numbers; a missing sample is NaN")
     values = values if len(lead) == 2 else values[:, None]
     if is_quaternion:
-        values = _rotations(values)
+        values = _rotations(name, values)
     return _checked_group(name, values) if shape in ((3, 3), (4, 4)) else values
 
 
-def _rotations(quaternions: Array) -> Array:
-    """Return the rotation matrices of quaternions (w, x, y, z) of any length."""
+def _rotations(name: str, quaternions: Array) -> Array:
+    """Return the rotation matrices of quaternions (w, x, y, z). Raises ArgumentError."""
+    lengths = np.linalg.norm(quaternions, axis=-1)
+    off = np.abs(lengths - 1.0)
+    if np.any(off > UNIT):
+        worst = lengths.ravel()[np.nanargmax(off)]
+        raise ArgumentError(
+            f"data: {name} has quaternions that are no rotations, one of length {worst:.4g}; "
+            "expected (w, x, y, z) of length 1"
+        )
     p = components(quaternions)
     with np.errstate(invalid="ignore", divide="ignore"):
         return assembled(quaternion.matrix(p, 2.0 / dot(p, p)), 3, 3)
@@ -239,6 +262,10 @@ def _checked_group(name: str, values: Array) -> Array:
     if off > 1e-6 or np.any(np.linalg.det(turned[known]) < 0.0):
         raise ArgumentError(
             f"data: {name} has matrices that are no rotations, RᵀR is off by {off:.1g}"
+        )
+    if values.shape[-1] == 4 and np.any(values[known][:, 3] != (0.0, 0.0, 0.0, 1.0)):
+        raise ArgumentError(
+            f"data: {name} has matrices that are no poses; expected the last row (0, 0, 0, 1)"
         )
     return values
 

@@ -7,6 +7,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
+from lierb.analysis.identifiability import few_samples
 from lierb.analysis.least_squares import Steps, next_radius, steps_of
 from lierb.analysis.side_by_side import Experiments, Members, State, part_of
 from lierb.support.arrays import Array
@@ -19,13 +20,14 @@ SUM_ROUNDING = 1e-12  # relative, of a sum of squares
 CLOSE = 1e-3  # offset with which an estimate without a shorter step counts as a minimum
 CLOSE_ROUNDING = 1e-9
 
-RUNNING, CONVERGED, UNCHANGED, STUCK, LIMIT, FAILED = range(6)
+RUNNING, CONVERGED, UNCHANGED, STUCK, LIMIT, FAILED, FEW = range(7)
 REASONS = {
     CONVERGED: "the estimate is within a millionth of its standard errors of the minimum",
     UNCHANGED: "the estimate changes no more",
     STUCK: "no step decreases the sum of squares: runs nearby fail, or residuals jump",
     LIMIT: "max_iterations is reached; raise it, or begin with a better guess",
     FAILED: "the run of the guess fails",
+    FEW: "too few data",
 }
 
 
@@ -39,6 +41,9 @@ class Minimisation:
         self.codes = np.full(total, RUNNING)
         self.iterations = np.full(total, -1)  # the run of the guess is number 0
         self.radius = np.full(total, FIRST_STEP)
+        for i in np.flatnonzero(experiments.residuals < experiments.size):
+            self.codes[i], self.iterations[i] = FEW, 0
+            self.state["reason"][i] = few_samples(experiments.residuals[i], experiments.size)
 
     @property
     def converged(self) -> NDArray[np.bool_]:
@@ -51,7 +56,7 @@ class Minimisation:
         texts = [REASONS.get(int(code), "") for code in self.codes]
         details = self.state["reason"].tolist()
         return tuple(
-            f"{text}: {detail}" if code == FAILED else text
+            f"{text}: {detail}" if code in (FAILED, FEW) else text
             for text, detail, code in zip(texts, details, self.codes, strict=True)
         )
 

@@ -18,7 +18,7 @@ from lierb.model.mechanism.mechanism import Mechanism
 from lierb.model.problem import Problem
 from lierb.results.failures import Failures, has_failed
 from lierb.results.result import Result
-from lierb.runs.parameters import Parameter, chosen_parameters, slices_of
+from lierb.runs.parameters import Parameter, separate_parameters, slices_of
 from lierb.runs.switches import warn_of_switches
 from lierb.runs.variations import Variation, with_start
 from lierb.support.arrays import Array, as_floats, is_whole
@@ -110,7 +110,7 @@ def propagate(
     [True, True]
     """
     model = checked_model(problem)
-    chosen = chosen_parameters(model, parameters)
+    chosen = separate_parameters(model, parameters)
     if not chosen:
         raise ArgumentError("parameters is empty; expected names, such as omega0 or body.mass")
     quantities = _quantities(model, of)
@@ -131,7 +131,7 @@ def propagate(
             "the problem with its start has several trajectories; expected one, "
             "such as problem.of_body(0)"
         )
-    runs = runs_of(t, t0, t_end, records_of(quantities), options)
+    runs = runs_of("times", t, t0, t_end, records_of(quantities), options)
     warn_of_switches(model, stacklevel=3)
     variation = Variation(base, chosen, runs.options(model).timing.t0)
     with warnings_collected(), warnings.catch_warnings():
@@ -201,11 +201,13 @@ def _covariance(given: Any, parameters: tuple[Parameter, ...]) -> Array:
 
 def _checked(label: str, given: Any, size: int) -> Array:
     sigma = as_floats(label, given)
-    if sigma.shape != (size, size) or not np.isfinite(sigma).all():
+    if sigma.shape != (size, size):
         raise ArgumentError(
-            f"{label} has shape {sigma.shape}; expected ({size}, {size}), finite, in the order of "
-            "the parameters and their numbers"
+            f"{label} has shape {sigma.shape}; expected ({size}, {size}), in the order of the "
+            "parameters and their numbers"
         )
+    if not np.isfinite(sigma).all():
+        raise ArgumentError(f"{label} has numbers that are not finite; expected finite ones")
     units = _units(sigma)
     unit = sigma / np.outer(units, units)
     if np.abs(unit - unit.T).max() > SYMMETRY or np.linalg.eigvalsh(unit).min() < -size * SYMMETRY:

@@ -184,7 +184,7 @@ def _poses(result: Result) -> dict[str, Array]:
 
 def quantity_named(model: Model, argument: str, name: Any) -> Quantity:
     """Return a quantity of a model. Raises UnknownNameError."""
-    known = {q.name: q for q in _quantities(model)}
+    known = {q.name: q for q in quantities_of(model)}
     link, dot, last = name.rpartition(".") if isinstance(name, str) else ("", "", name)
     alias = f"{link}{dot}{ALIASES.get(last, last)}".replace(QUATERNION, "rotation")
     if alias not in known:
@@ -198,7 +198,8 @@ def records_of(quantities: Iterator[Quantity] | list[Quantity]) -> list[str]:
     return ["state", *dict.fromkeys(RECORDS[x] for x in last if x in RECORDS)]
 
 
-def _quantities(model: Model) -> Iterator[Quantity]:
+def quantities_of(model: Model) -> Iterator[Quantity]:
+    """Yield all quantities of a model."""
     for link, at in zip(model.link_names, model.joints, strict=False):
         prefix = f"{link}." if link else ""
         pose, twist = f"{prefix}pose", f"{prefix}twist"

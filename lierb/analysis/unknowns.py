@@ -15,14 +15,14 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from lierb.analysis.pseudo_inertia import SIZES, body_of, coordinates_of, derivatives_of
-from lierb.errors import ArgumentError, LierbError, brief, unknown_name
+from lierb.errors import ArgumentError, brief, unknown_name
 from lierb.lie import se3
 from lierb.runs.parameters import SYMMETRIC, Parameter, chosen_parameters, slices_of
 from lierb.runs.variations import Variation
 from lierb.support.arrays import Array, as_floats
 
 RANK = 1e-9  # relative size of directions that joints do not admit
-ROUNDING = 1e-12  # the same of components that joints hold
+ROUNDING = 1e-12  # the same of components that joints hold, and of coordinates at a bound
 
 
 class Charted(NamedTuple):
@@ -245,11 +245,13 @@ class Unknowns:
                 if name in masses:
                     value = 0.5 * np.log(np.maximum(value, np.finfo(float).tiny))
                 end[part] = value
-            at = self.base[part]
-            if np.any(low[part] >= high[part]) or np.any((at < low[part]) | (at > high[part])):
+            at, rounding = self.base[part], ROUNDING * self.scales[part]
+            is_outside = (at < low[part] - rounding) | (at > high[part] + rounding)
+            if np.any(low[part] >= high[part]) or np.any(is_outside):
                 raise ArgumentError(
                     f"bounds[{name!r}]={brief(pair)}; expected low < high, with the guess between"
                 )
+            low[part], high[part] = np.minimum(low[part], at), np.maximum(high[part], at)
         return low, high
 
     def _bounded(self, name: str) -> slice:
@@ -287,7 +289,7 @@ class Unknowns:
     @property
     def labels(self) -> tuple[str, ...]:
         """Return a name for each number of the parameters, starts trajectory by trajectory."""
-        labels = [label for p in self.numbers for label in _labels(p)]
+        labels = [label for p in self.numbers for label in labels_of(p)]
         for i in range(self.count):
             for p in self.starts:
                 name = f"{p.name}[{i}]" if self.count > 1 else p.name
@@ -341,34 +343,6 @@ class Unknowns:
         return {p.name: by_name[p.name] for p in self.variation.parameters}
 
 
-def guessed(variation: Variation, guesses: Mapping[str, Any], batch: int = 0) -> Variation:
-    """Return a variation whose base has guesses of parameters. Raises ArgumentError.
-
-    batch : number of trajectories, each of which may have a guess of its own; 0 for none.
-    """
-    known = {p.name: p for p in variation.parameters}
-    changes = {p.name: np.zeros(p.size) for p in variation.parameters}
-    for name, guess in guesses.items():
-        if guess is None:
-            continue
-        if known[name].is_start:
-            raise ArgumentError(
-                f"parameters[{name!r}]={brief(guess)}: the guess of a start is that of the run; "
-                f"give {{{name!r}: None}} and twist0= or pose0="
-            )
-        value = as_floats(f"parameters[{name!r}]", guess)
-        shapes = ((), (known[name].size,), *([(batch, known[name].size)] if batch else ()))
-        if value.shape not in shapes or not np.isfinite(value).all():
-            raise ArgumentError(
-                f"parameters[{name!r}]={brief(guess)}; expected {known[name].size} finite numbers"
-            )
-        changes[name] = value - variation.values[name]
-    try:
-        return Variation(variation.at(changes), variation.parameters, variation.t0)
-    except LierbError as error:
-        raise type(error)(f"the guess of parameters: {error}") from None
-
-
 def _admitted(rows: Array) -> Array:
     """Return orthonormal bases of the combinations of numbers that move the starts.
 
@@ -394,7 +368,8 @@ def _pair(name: str, pair: Any, part: slice) -> list[Array]:
     return ends
 
 
-def _labels(p: Parameter) -> list[str]:
+def labels_of(p: Parameter) -> list[str]:
+    """Return a name for each number of a parameter."""
     if p.size == 1:
         return [p.name]
     if p.name.endswith("body.inertia"):

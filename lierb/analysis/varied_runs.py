@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from typing import Any, NamedTuple
 
 import pyarrow as pa
 
 from lierb.api import integrate_model
-from lierb.errors import unknown_name
+from lierb.errors import TimeGridError, unknown_name
 from lierb.results.columns import as_array
 from lierb.results.result import Result
 from lierb.runs.options import Options
 from lierb.runs.parameters import Parameter
+from lierb.runs.time_options import checked_steps, checked_time, checked_within
 from lierb.runs.variations import Varied
 from lierb.support.arrays import Array
 
@@ -44,7 +46,7 @@ class Runs(NamedTuple):
         return integrate_model(
             varied.model, self.options(varied.model), start["pose0"], start["twist0"],
             with_respect_to=parameters, threads=self.threads, progress=False,
-            has_tables=has_tables,
+            has_tables=has_tables, argument="parameters",
         )  # fmt: skip
 
     def most_steps(self, summary: pa.Table) -> int | None:
@@ -58,14 +60,38 @@ class Runs(NamedTuple):
         return MOST_STEPS * (int(steps.max()) + 10)
 
 
-def runs_of(times: Array, t0: Any, t_end: Any, record: list[str], options: dict[str, Any]) -> Runs:
-    """Return the runs that save these times. Raises ArgumentError for an unknown option."""
+def runs_of(
+    name: str, times: Array, t0: Any, t_end: Any, record: list[str], options: dict[str, Any]
+) -> Runs:
+    """Return the runs that save these times.   name : of the times, for messages.
+
+    Raises ArgumentError for an unknown option, TimeGridError for times that do not fit.
+    """
     keywords, threads = options_and_threads(options)
-    keywords |= {
-        "t0": t0, "t_end": float(times[-1]) if t_end is None else t_end, "save_at": times,
-        "record": record,
-    }  # fmt: skip
+    end = _end_of(name, times, t0, t_end, keywords)
+    keywords |= {"t0": t0, "t_end": end, "save_at": times, "record": record}
     return Runs(keywords, threads)
+
+
+def _end_of(name: str, times: Array, t0: Any, t_end: Any, keywords: dict[str, Any]) -> float:
+    """Return the end of runs that save these times, by default the last of them."""
+    start, last = checked_time("t0", t0, after=-math.inf), float(times[-1])
+    if t_end is not None:
+        end = checked_time("t_end", t_end, after=start)
+    elif last <= start:
+        raise TimeGridError(f"{name} ends at {last!r} s; expected a time later than t0={start!r} s")
+    else:
+        end = last
+    checked_within(name, times, start, end)
+    if t_end is None and all(keywords.get(each) is None for each in ("rtol", "atol")):
+        step = checked_time("dt", keywords["dt"])
+        try:
+            checked_steps(step, end, start)
+        except TimeGridError as error:
+            raise TimeGridError(
+                f"{name} ends at {last!r} s, and t_end= is not given: {error}"
+            ) from None
+    return end
 
 
 def options_and_threads(options: dict[str, Any]) -> tuple[dict[str, Any], int | None]:

@@ -163,7 +163,7 @@ def require_name(argument: str, got: object, known: Iterable[str]) -> None:
 
 def unknown_name(argument: str, got: object, known: Iterable[str]) -> UnknownNameError:
     """Return the error for a name outside `known`, with its synonym or the nearest one."""
-    names = list(known)
+    names = list(dict.fromkeys(known))
     lowered = {name.lower(): name for name in names}
     if synonym := here(got, lowered):
         return UnknownNameError(

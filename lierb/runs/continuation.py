@@ -293,7 +293,8 @@ class End:
         )
         more = f" and {failed.size - NAMED} more" if failed.size > NAMED else ""
         raise ArgumentError(
-            f"result.end: {failed.size} of {len(self.output.status)} trajectories failed and have "
-            f"no end to go on from: {named}{more}; leave them out of the batch, or find what made "
-            "them fail (summary, columns status and t) and run again, often with a smaller dt"
+            f"result.end: {failed.size} of {len(self.output.status)} trajectories failed and "
+            f"{'has' if failed.size == 1 else 'have'} no end to go on from: {named}{more}; leave "
+            "them out of the batch, or find what made them fail (summary, columns status and t) "
+            "and run again, often with a smaller dt"
         )

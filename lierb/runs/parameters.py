@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from functools import partial
+from itertools import combinations
 from math import prod
 from typing import Any, NamedTuple
 
@@ -44,6 +45,18 @@ class Parameter(NamedTuple):
     def is_start(self) -> bool:
         """Return whether it is a pose or twist at the start."""
         return self.units is None
+
+    @property
+    def link(self) -> str:
+        """Return the prefix of the link of a start."""
+        link, dot, _ = self.name.rpartition(".")
+        return link + dot
+
+    def is_same_as(self, other: Parameter) -> bool:
+        """Return whether both are names of the same numbers of the model."""
+        if self.units is None or other.units is None:
+            return False
+        return self.fields[0] == other.fields[0] and np.array_equal(self.units, other.units)
 
     @property
     def moves_start(self) -> bool:
@@ -89,6 +102,27 @@ def chosen_parameters(
             raise ArgumentError(f"{argument} names {key} twice; name it once")
         parameters[key] = known[key]
     return tuple(parameters.values())
+
+
+def separate_parameters(model: Model, given: Any) -> tuple[Parameter, ...]:
+    """Return the parameters of `parameters=`, no two of which share a number. Raises ArgumentError.
+
+    A fit could not tell them apart, and a covariance would count the number twice.
+    """
+    chosen = chosen_parameters(model, given, "parameters")
+    for first, second in combinations(chosen, 2):
+        if {first.name, second.name} == {f"{first.link}omega0", f"{first.link}twist0"}:
+            names, why = sorted((first.name, second.name)), "is a part of"
+        elif first.is_same_as(second):
+            names, why = [second.name, first.name], "is another name of"
+        else:
+            continue
+        part, whole = names
+        raise ArgumentError(
+            f"parameters names {first.name} and {second.name}; {part} {why} {whole}, leave out "
+            f"{part}"
+        )
+    return chosen
 
 
 def _unknown(model: Model, argument: str, name: str, known: dict[str, Parameter]) -> LierbError:

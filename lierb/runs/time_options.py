@@ -50,7 +50,7 @@ def timing_of(
     given = (ADAPTIVE_METHOD if is_adaptive else "RK4") if method is None else method
     method = method_named(given)
     _check_counts(save_every, measure_every)
-    times = None if save_at is None else _checked_save_at(save_at, start, end)
+    times = None if save_at is None else checked_within("save_at", save_at, start, end)
     if times is not None and save_every is not None:
         raise ArgumentError("save_every and save_at are both given; choose one of them")
     most = math.inf if max_steps is None else _checked_max_steps(max_steps)
@@ -160,13 +160,14 @@ def _real(given: Any) -> float:
         return math.inf
 
 
-def _checked_save_at(given: Any, start: float, end: float) -> Array:
-    times = _checked_times("save_at", given)
+def checked_within(name: str, given: Any, start: float, end: float) -> Array:
+    """Return ascending times of a run, (m,). Raises TimeGridError."""
+    times = _checked_times(name, given)
     rounding = 4 * sys.float_info.epsilon * max(abs(start), abs(end))
     for time in (times[0], times[-1]):
         if not start - rounding <= time <= end + rounding:
             raise TimeGridError(
-                f"save_at has {float(time)!r} s, which is not within t0={start!r} s and "
+                f"{name} has {float(time)!r} s, which is not within t0={start!r} s and "
                 f"t_end={end!r} s"
             )
     return np.clip(times, start, end)

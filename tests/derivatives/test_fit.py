@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from functools import cache
 
@@ -10,13 +11,18 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.integrate import solve_ivp
 from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
 
 import lierb
+from derivatives.test_of_mechanisms import double_pendulum
+from lierb.analysis.fitting import _sides
 from lierb.analysis.identifiability import described, identified
 from lierb.analysis.measurements import measurements
 from lierb.analysis.pseudo_inertia import SIZES, body_of, coordinates_of, derivatives_of
+from lierb.analysis.unknowns import Unknowns
 from lierb.errors import InertiaError, LierbError
-from lierb.runs.parameters import SYMMETRIC
+from lierb.runs.parameters import SYMMETRIC, chosen_parameters, separate_parameters
+from lierb.runs.variations import Variation, with_start
 
 TIMES = np.linspace(0.0, 5.0, 51)
 INERTIA = np.array([[0.9, 0.05, -0.02], [0.05, 1.2, 0.03], [-0.02, 0.03, 1.5]])
@@ -413,14 +419,21 @@ GOOD = {"t": [0.5, 1.0], "omega": np.zeros((2, 3))}
 @pytest.mark.parametrize(
     ("data", "message"),
     [
-        ({"omega": np.zeros((2, 3))}, "has no times"),
+        ({"omega": np.zeros((2, 3))}, 'data has no column "t", .* its columns are omega$'),
+        ([GOOD, {"v": np.zeros((2, 3))}], r'data\[1\] has no column "t"'),
+        ({"t": [0.5, 1.0], "omega_x": [0.0, 0.0]}, "data has omega_x without omega_y, omega_z;"),
+        ({"t": [0.5, 1.0], "quaternion": 3.0 * np.ones((2, 4))}, r"length 6; .*\(w, x, y, z\)"),
+        ({"t": [0.5, 1.0], "quaternion": [[0.0] * 4, [1.0, 0.0, 0.0, 0.0]]}, "one of length 0;"),
+        ({"t": [0.5, 1.0], "pose": np.tile(np.eye(4) + np.eye(4, k=-3), (2, 1, 1))}, "last row"),
         ({"t": [0.5, 1.0]}, "no measured column"),
         ({"t": [0.5, 1.0], "omga": np.zeros((2, 3))}, "Did you mean 'omega'"),
         ({"t": [1.0, 0.5], "omega": np.zeros((2, 3))}, "does not ascend"),
         ({"t": [0.5, 1.0], "omega": np.zeros((3, 3))}, r"omega has shape \(3, 3\)"),
         ({"t": [0.5, 1.0], "rotation": np.ones((2, 3, 3))}, "no rotations"),
-        ({"t": [0.5], "omega": np.full((1, 3), np.nan)}, "1 unknown numbers and data 0 samples"),
-        ({"t": [-1.0, 1.0], "omega": np.zeros((2, 3))}, "not within t0"),
+        ({"t": [0.5], "omega": np.full((1, 3), np.nan)}, "has 0 samples for 1 unknown number;"),
+        ({"t": [-1.0, 1.0], "omega": np.zeros((2, 3))}, "data: t has -1.0 s, .* not within t0"),
+        ({"t": [0.0], "omega": np.zeros((1, 3))}, "data: t ends at 0.0 s; expected a time later"),
+        ({"t": [0.505], "omega": np.zeros((1, 3))}, "data: t ends at 0.505 s.* the nearest are"),
         ({"t": [np.nan, 1.0], "omega": np.zeros((2, 3))}, r"t\[0\] is nan; leave out"),
         ({"t": [0.5, 1.0], "omega": np.full((2, 3), np.inf)}, "infinite numbers; a missing"),
         (3.0, "a dictionary or a table"),
@@ -438,7 +451,18 @@ def test_data_that_are_none_are_refused(data, message):
     ("options", "message"),
     [
         ({"parameters": ()}, "parameters is empty"),
-        ({"parameters": "torsional_spring.dampng"}, "Did you mean"),
+        ({"parameters": "torsional_spring.dampng"}, "parameters='torsional_.* Did you mean"),
+        ({"parameters": [DAMPING, DAMPING]}, f"parameters names {DAMPING} twice"),
+        ({"parameters": ["twist0", DAMPING, "omega0"]}, "omega0 is a part of twist0, leave out"),
+        ({"parameters": {"body.com": None}, "cspace": "SO3xR3"}, "^parameters: body.com cannot"),
+        ({"parameters": {DAMPING: [0.1, 0.2]}}, r"shape \(2,\); expected a finite number$"),
+        (
+            {"parameters": {"body.com": [0.1, 0.2]}},
+            r"3 finite numbers, body.com\[0\], body.com\[1\]",
+        ),
+        ({"parameters": {DAMPING: np.nan}}, r"\]=nan; expected a finite number$"),
+        ({"t_end": 0.7}, "data: t has 1.0 s, which is not within"),
+        ({"dt": -1.0}, "^dt=-1.0"),
         ({"sigma": {"omega": 0.0}}, "expected a positive number"),
         ({"sigma": {}}, "sigma lacks omega"),
         ({"sigma": {"omega": 1.0, "v": 1.0}}, "sigma='v' is unknown"),
@@ -448,7 +472,7 @@ def test_data_that_are_none_are_refused(data, message):
         ({"parameters": {"body.mass": -1.0}}, "the guess of parameters: mass is -1.0"),
         ({"max_evaluations": 0}, "expected a whole number"),
         ({"save_every": 3}, "option='save_every' is unknown"),
-        ({"twist0": np.zeros((4, 6))}, "data has 1 trajectories"),
+        ({"twist0": np.zeros((4, 6))}, "data has 1 trajectory and"),
     ],
 )
 def test_arguments_that_do_not_fit_are_refused(options, message):
@@ -462,6 +486,84 @@ def test_bounds_are_kept():
     bounds = {DAMPING: (0.05, 1.0)}
     fit = fitted(pendulum(0.1), data_of(swung(), "omega"), DAMPING, bounds=bounds)
     assert 0.05 <= fit.estimate[DAMPING][0] < 0.0501
+    assert fit.status.endswith(f"; {DAMPING} is at its lower bound")
+    assert f"{DAMPING}  0.05, at its lower bound\n" in repr(fit)
+    told = replace(fit, has_sigma=True, chi2=1e6).misfit
+    assert told.index(f"{DAMPING} is at its lower bound") < told.index("A force may be missing")
+    inside = fitted(pendulum(0.1), data_of(swung(), "omega"), DAMPING, bounds={DAMPING: (0.0, 1.0)})
+    assert "bound" not in inside.status + repr(inside)
+
+
+def test_only_variables_that_a_bound_stops_are_at_it():
+    """Minima of (x − m)²/2: beyond the bounds, inside them, and beside one of them."""
+    minima, low, high = np.array([-3.0, 0.5, 2.0, 1e-8]), np.zeros(4), np.ones(4)
+    for start in (0.2, 0.8):
+        solution = least_squares(lambda x: x - minima, np.full(4, start), bounds=(low, high))
+        assert _sides(solution, low, high).tolist() == [-1.0, 0.0, 1.0, 0.0]
+
+
+@pytest.mark.parametrize("mass", np.linspace(0.1, 1.9, 37))
+def test_a_mass_that_ended_at_its_bound_begins_again_there(mass):
+    """The logarithm of the mass, rounded on the way to the model and back, may lie outside."""
+    coordinate = 0.5 * np.log(mass)
+    for _ in range(3):
+        body = lierb.Body(np.exp(2.0 * coordinate), INERTIA)
+        problem = lierb.Problem(body, lierb.joints.free())
+        chosen = chosen_parameters(problem, ["body.mass", "body.inertia"])
+        unknowns = Unknowns(Variation(with_start(problem, None, None), chosen, 0.0), 1)
+        low, high = unknowns.bounds({"body.mass": (mass, 2.0)})
+        coordinate = unknowns.base[0]
+        assert low[0] <= coordinate <= high[0]
+        assert_allclose(low[0], 0.5 * np.log(mass), rtol=1e-12, atol=1e-15)
+
+
+def test_two_names_of_a_point_and_starts_of_different_links():
+    arm = double_pendulum()
+    with pytest.raises(LierbError, match=r"parent_point is another name of lower.joint.ground_po"):
+        separate_parameters(arm, ["lower.joint.ground_point", "lower.joint.parent_point"])
+    with pytest.raises(LierbError, match=r"lower.omega0 is a part of lower.twist0"):
+        separate_parameters(arm, ["lower.omega0", "upper.omega0", "lower.twist0"])
+    names = ["lower.omega0", "upper.twist0", "lower.pose0", "lower.joint.parent_point"]
+    assert [p.name for p in separate_parameters(arm, names)] == names
+
+
+def test_numbered_components_of_a_data_frame_are_put_together():
+    """`Result.to_pandas` numbers the multipliers: lambda_1 … lambda_5."""
+    rows = np.arange(10.0).reshape(2, 5)
+    data = {"t": [0.5, 1.0]} | {f"lambda_{i + 1}": rows[:, i] for i in range(5)}
+    (column,) = measurements(pendulum(), data, None).columns
+    assert column.quantity.name == "lambda"
+    assert np.array_equal(column.values[:, 0], rows)
+    del data["lambda_4"]
+    with pytest.raises(LierbError, match="data has lambda_1 without lambda_4; expected all"):
+        measurements(pendulum(), data, None)
+
+
+def test_quaternions_may_be_rounded_and_of_either_sign():
+    flight = lierb.Problem(lierb.bodies.sphere(0.1, mass=1.0), lierb.joints.free())
+    turn = Rotation.random(5, rng=3)
+    data = {"t": np.arange(1.0, 6.0), "quaternion": -turn.as_quat()[:, [3, 0, 1, 2]].round(3)}
+    data["quaternion"][2] = np.nan
+    (column,) = measurements(flight, data, None).columns
+    known = [0, 1, 3, 4]
+    assert_allclose(column.values[known, 0], turn.as_matrix()[known], atol=3e-3)
+    assert not column.present[2].any()
+
+
+@pytest.mark.slow
+def test_a_printed_fit_shows_the_pose_and_what_the_joint_holds():
+    """The rotation vector of a hinge about y at angle φ is (0, φ, 0)."""
+    data = data_of(swung(), "omega", noise=1e-2)
+    lines = repr(fitted(pendulum(), data, "pose0", pose0=pendulum().joint.pose([0.9]))).splitlines()
+    vector = re.search(r"pose0 +rotation vector \(0, (.*), 0\) rad, position \((.*)\) m", lines[1])
+    assert abs(float(vector[1]) - 1.0) < 0.01
+    place = -0.5 * np.array([np.sin(float(vector[1])), 0.0, np.cos(float(vector[1]))])
+    assert_allclose([float(x) for x in vector[2].split(",")], place, rtol=1e-6)
+    held = [i for i in range(6) if lines[2 + i].endswith("ε, held by joints")]
+    assert held == [0, 2, 4, 5]  # at a hinge about y, a body turns about y and moves along its x
+    assert "ε ± " in lines[3]
+    exact = data_of(swung(), "omega")
+    assert "held" not in repr(replace(fitted(pendulum(), exact, "pose0"), chi2=0.0))
 
 
 def test_a_whole_history_is_read_without_the_errors_of_joints():

@@ -319,6 +319,24 @@ def test_experiments_that_fail_are_flagged_and_leave_the_others_alone():
     assert f"{DAMPING}.error" in table.column_names
 
 
+def test_an_experiment_without_samples_leaves_the_others_alone():
+    data = measured(4)
+    whole = fitted(pendulum(0.1), data)
+    data["omega"][:, 2] = np.nan
+    with pytest.warns(FailedFitWarning, match="1 of 4 fits has not converged; the first is fit 2"):
+        many = fitted(pendulum(0.1), data)
+    assert many.converged.tolist() == [True, True, False, True]
+    assert many.status[2] == "too few data: 0 samples for 3 unknown numbers"
+    assert many.iterations[2] == 0
+    for name in many.parameters:
+        assert np.isnan(many.estimate[name][2]).all()
+        assert np.isnan(many.standard_errors[name][2]).all()
+        assert_allclose(many.estimate[name][[0, 1, 3]], whole.estimate[name][[0, 1, 3]], rtol=1e-12)
+    assert np.isnan(many.covariance[2]).all()
+    assert np.isnan(many.chi2[2])
+    assert sum("held by joints" in line for line in repr(many).splitlines()) == 2
+
+
 def test_max_iterations_is_reported():
     with pytest.warns(FailedFitWarning, match="max_iterations is reached"):
         many = fitted(pendulum(0.1, 0.0), measured(2), max_iterations=1)
@@ -435,11 +453,13 @@ GOOD = {"t": [0.5, 1.0], "omega": np.zeros((2, 4, 3))}
     ("data", "more", "message"),
     [
         (GOOD, {"parameters": ()}, "parameters is empty"),
-        (GOOD, {"parameters": {DAMPING: [0.1, 0.2]}}, "expected 1 finite numbers"),
+        (GOOD, {"parameters": {DAMPING: [0.1, 0.2]}}, r"a finite number, or .*\(4, 1\)"),
+        (GOOD, {"parameters": ["omega0", "twist0"]}, "omega0 is a part of twist0"),
+        (GOOD | {"t": [-0.5, 1.0]}, {}, "data: t has -0.5 s"),
         (GOOD, {"max_iterations": 0}, "expected a whole number"),
         (GOOD, {"progress": 3}, "progress=3"),
         (GOOD, {"bounds": {}}, "option='bounds' is unknown"),
-        (GOOD, {"twist0": np.zeros((3, 6))}, "data has 4 experiments of 1 trajectories"),
+        (GOOD, {"twist0": np.zeros((3, 6))}, "data has 4 experiments of 1 trajectory,"),
         (GOOD, {"sigma": {}}, "sigma lacks omega"),
         (GOOD, {"pose0": np.diag([1.0, 2.0, 1.0, 1.0])}, "pose0"),
         (GOOD, {"dt": 0.3}, "t_end"),
@@ -450,7 +470,7 @@ GOOD = {"t": [0.5, 1.0], "omega": np.zeros((2, 4, 3))}
             "number of trajectories by experiment",
         ),
         ([[GOOD], [GOOD, GOOD]], {}, r"data\[1\] has 8 trajectories and data\[0\] 4"),
-        ({"t": [0.5], "omega": np.full((1, 2, 3), np.nan)}, {}, "experiment 0 0 samples"),
+        ({"t": [0.5], "omega": np.full((1, 2, 3), np.nan)}, {}, "no experiment has enough data"),
     ],
 )  # fmt: skip
 def test_arguments_that_do_not_fit_are_refused(data, more, message):
