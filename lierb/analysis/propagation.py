@@ -13,7 +13,7 @@ from lierb.analysis.propagation_result import Propagation, deviations_of
 from lierb.analysis.quantities import Quantity, quantity_named, records_of, require_derivatives
 from lierb.analysis.varied_runs import Runs, runs_of
 from lierb.api import checked_model
-from lierb.errors import ArgumentError, LierbError, brief, items_of
+from lierb.errors import ArgumentError, FailedTrajectoryWarning, LierbError, brief, items_of
 from lierb.model.mechanism.mechanism import Mechanism
 from lierb.model.problem import Problem
 from lierb.results.failures import Failures, has_failed
@@ -90,6 +90,11 @@ def propagate(
     LierbError
         An argument is wrong, a member of the sample is no rigid body, or the nominal run fails.
 
+    Warns
+    -----
+    FailedTrajectoryWarning
+        Some runs of the sample have failed.
+
     Notes
     -----
     Linear theory, J Σ Jᵀ with the exact derivatives J of the run, holds while deviations are small
@@ -136,7 +141,15 @@ def propagate(
     variation = Variation(base, chosen, runs.options(model).timing.t0)
     with warnings_collected(), warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        return _propagated(variation, runs, quantities, sigma, t, int(monte_carlo), seed)
+        found = _propagated(variation, runs, quantities, sigma, t, int(monte_carlo), seed)
+    if found.failed:
+        warnings.warn(
+            f"{found.failed} of {found.size + found.failed} runs of the sample failed; its "
+            "deviations are those of the others",
+            FailedTrajectoryWarning,
+            stacklevel=2,
+        )
+    return found
 
 
 def _propagated(

@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 import lierb
-from lierb.errors import LierbError
+from lierb.errors import FailedTrajectoryWarning, LierbError
 
 TIMES = [0.5, 1.0, 2.0]
 STIFFNESS, MASS = 8.0, 2.0
@@ -137,3 +137,16 @@ def test_arguments_that_do_not_fit_are_refused(given, message):
     arguments = {"covariance": {"twist0": 0.1}, "parameters": "twist0", "times": [1.0]} | given
     with pytest.raises(LierbError, match=message):
         lierb.propagate(oscillator(), **arguments)
+
+
+@pytest.mark.slow
+def test_runs_of_the_sample_that_fail_are_told():
+    """Bodies that spin fast need more steps than they may take."""
+    flight = lierb.Problem(lierb.Body(1.0, (0.1, 0.2, 0.25)), lierb.joints.free())
+    start = {"twist0": (1.0, 0.5, 0.2, 0.0, 0.0, 0.0), "rtol": 1e-8, "max_steps": 40}
+    with pytest.warns(FailedTrajectoryWarning, match="of 100 runs of the sample failed"):
+        spread = lierb.propagate(
+            flight, {"omega0": 5.0}, "omega0", [2.0], "omega", monte_carlo=100, **start
+        )
+    assert 0 < spread.failed < 100
+    assert spread.size + spread.failed == 100
