@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 from lierb.analysis.varied_runs import options_and_threads
 from lierb.api import checked_model, report_start, start_check
 from lierb.errors import ArgumentError, FailedTrajectoryWarning, unknown_name
+from lierb.kernels.loops.adjoint import END_TIME
 from lierb.kernels.systems.plan import MechanismPlan
 from lierb.kernels.systems.system_of import plan_with_derivatives
 from lierb.model.base import Model
@@ -93,8 +94,9 @@ def gradient(
     problem : Problem or Mechanism
         The body or mechanism; batched or shared.
     of : str
-        Name of an observable of one number (`lierb.observable`), or "energy". An integral over the
-        run is the end value of an extra state (`lierb.states`) that an observable returns.
+        Name of an observable of one number (`lierb.observable`), "energy", or "t", the time at
+        which a terminal event ends the run. An integral over the run is the end value of an extra
+        state (`lierb.states`) that an observable returns.
     with_respect_to : str or iterable of str, optional
         Parameters, as in `integrate`. Default: all, each number by one name; starts as twist0 and
         pose0.
@@ -209,9 +211,10 @@ def _all(prepared: Ready) -> Iterator[Parameter]:
 def _number(model: Model, of: Any) -> int:
     """Return the number of an objective; see `lierb.kernels.loops.adjoint.Adjoint`."""
     names = [ENERGY, *(each.name for each in model.observables)]
-    if not (isinstance(of, str) and of in names):
-        raise unknown_name("of", of, names)
-    return names.index(of)
+    ends = ["t"] if any(event.terminal for event in model.events) else []
+    if not (isinstance(of, str) and of in (*names, *ends)):
+        raise unknown_name("of", of, [*names, *ends])
+    return END_TIME if of == "t" else names.index(of)
 
 
 def _obstacles(prepared: Ready) -> Iterator[str]:

@@ -249,6 +249,20 @@ def test_objectives_at_terminal_events_change_with_the_end_time(options):
     assert not found["arrival.wall"].any()
 
 
+@pytest.mark.slow
+def test_the_time_of_a_terminal_event_has_a_gradient():
+    """t = 2 v/g: ∂t/∂v = 2/g, ∂t/∂g₃ = t/g, ∂t/∂ground = −1/v; the last throw flies on."""
+    speeds = np.array((3.0, 1.0, 20.0))
+    twists = np.array([[0, 0, 0, 2.0, 0, v] for v in speeds])
+    found = lierb.gradient(ball(), "t", twist0=twists, t_end=1.0, rtol=1e-10)
+    lands = np.array((1.0, 1.0, 0.0))
+    assert np.abs(found.value - np.minimum(2.0 * speeds / 9.81, 1.0)).max() < 1e-12
+    assert np.abs(found["twist0"][:, 5] - lands * 2.0 / 9.81).max() < 1e-10
+    assert np.abs(found["gravity"][:, 2] - lands * found.value / 9.81).max() < 1e-10
+    assert np.abs(found["landing.ground"][:, 0] + lands / speeds).max() < 1e-10
+    assert not found["twist0"][2].any()
+
+
 @pytest.mark.long
 def test_terminal_events_of_a_top_have_derivatives_forwards():
     @lierb.event(terminal=True, angle=-0.2)

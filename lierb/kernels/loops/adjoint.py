@@ -50,6 +50,7 @@ from lierb.kernels.systems.system_of import system_of
 from lierb.kernels.tracing.trace import kernel
 
 NO_CONTROL = Control((), (), ())
+END_TIME = -1  # the time at which an event ends a trajectory, as an objective
 MARK = (1.0,)  # parts of a number of the body that has gains
 
 
@@ -57,8 +58,8 @@ MARK = (1.0,)  # parts of a number of the body that has gains
 class Adjoint(Tag):
     """Tag of the code that differentiates one number at the end of the runs of a plan.
 
-    plan : with derivatives of all inputs.   objective : 0 for the energy, else 1 + the index of an
-    observable.
+    plan : with derivatives of all inputs.   objective : END_TIME, 0 for the energy, else 1 + the
+    index of an observable.
     """
 
     plan: AnyPlan
@@ -230,6 +231,8 @@ def objective(run: Adjoint, body: Any, state: State, time: Any) -> tuple[Any, tu
     body = with_signals(run.plan, body, state, NO_CONTROL)
     seen = system.motion(body, state, time)
     events = system.events(body, seen, time) if events_of(run.plan) else ()
+    if run.objective == END_TIME:
+        return time, events
     if run.objective == 0:
         return system.measured(body, state, seen, time).values["energy"], events
     return system.observed(body, seen, time)[run.objective - 1], events
