@@ -140,3 +140,68 @@ def test_fixed_steps_beyond_the_stability_of_a_stiff_bushing_are_warned_of():
 def test_numbers_that_no_bushing_has_are_refused(options, error, named):
     with pytest.raises(error, match=named):
         lierb.forces.bushing(**options)
+
+
+# ---- a stiff slider-crank, whose loop is closed by a bushing ------------------------------------
+
+CRANK, ROD, STIFF, LOSS = 0.1, 0.3, 1e7, 100.0  # m, N/m, N s/m
+BARS = {"crank": (CRANK, 0.2), "rod": (ROD, 0.3), "slider": (0.05, 0.5)}  # m and kg
+
+
+def slider_crank() -> lierb.Mechanism:
+    boxes = {n: lierb.bodies.box((x, 0.02, 0.02), mass=mass) for n, (x, mass) in BARS.items()}
+    hinge = lambda x, **place: lierb.joints.revolute((-0.5 * x, 0.0, 0.0), axis=(0, 0, 1), **place)
+    end = {"parent_point": (0.5 * CRANK, 0.0, 0.0)}
+    links = [
+        lierb.Link("crank", boxes["crank"], hinge(CRANK)),
+        lierb.Link("rod", boxes["rod"], hinge(ROD, **end), "crank"),
+        lierb.Link("slider", boxes["slider"], lierb.joints.prismatic(axis=(1.0, 0.0, 0.0))),
+    ]
+    pin = lierb.forces.bushing(
+        (0.5 * ROD, 0.0, 0.0), stiffness=(0, 0, 0, STIFF, STIFF, 0),
+        damping=(0, 0, 0, LOSS, LOSS, 0),
+    )  # fmt: skip
+    return lierb.Mechanism(links, gravity=(0.0, -9.81, 0.0), forces=pin.on("rod", "slider"))
+
+
+def penalised(_, y):
+    """Lagrange's equations in the angles of crank and rod from e₁ and in the slide."""
+    a, b, s, da, db, ds = y
+    (_, first), (_, second), (_, third) = BARS.values()
+    about = lambda x, mass: mass * (x * x + 0.02**2) / 12.0
+    both = 0.5 * CRANK * ROD * second
+    coupled, bend = both * np.cos(a - b), both * np.sin(a - b)
+    of_crank = about(CRANK, first) + CRANK**2 * (0.25 * first + second)
+    of_rod = about(ROD, second) + 0.25 * second * ROD**2
+    mass = np.array([[of_crank, coupled], [coupled, of_rod]])
+    u, v = CRANK * np.array((-np.sin(a), np.cos(a))), ROD * np.array((-np.sin(b), np.cos(b)))
+    end = np.array((CRANK * np.cos(a) + ROD * np.cos(b) - s, CRANK * np.sin(a) + ROD * np.sin(b)))
+    force = -STIFF * end - LOSS * (u * da + v * db - (ds, 0.0))
+    fall = 9.81 * np.array(((0.5 * first + second) * u[1], 0.5 * second * v[1]))
+    loads = np.array((force @ u - bend * db**2, force @ v + bend * da**2)) - fall
+    return [da, db, ds, *np.linalg.solve(mass, loads), -force[0] / third]
+
+
+@pytest.mark.long
+def test_a_slider_crank_closed_by_a_penalty_moves_as_radau_says():
+    turn, rate = 0.7, 20.0
+    lean = -np.arcsin(CRANK * np.sin(turn) / ROD)
+    slide = CRANK * np.cos(turn) + ROD * np.cos(lean)
+    leaning = -CRANK * np.cos(turn) * rate / (ROD * np.cos(lean))
+    sliding = -CRANK * np.sin(turn) * rate - ROD * np.sin(lean) * leaning
+    machine, t = slider_crank(), np.linspace(0.0, 0.2, 5)
+    pose0 = machine.pose({"crank": turn, "rod": lean - turn, "slider": slide})
+    twist0 = machine.twist({"crank": rate, "rod": leaning - rate, "slider": sliding}, pose0)
+    options = {"rtol": 1e-9, "method": "Rodas5P", "save_at": t, "record": "state"}
+    result = lierb.integrate(machine, pose0=pose0, twist0=twist0, t_end=0.2, **options)
+    start = [turn, lean, slide, rate, leaning, sliding]
+    right = solve_ivp(
+        penalised, (0.0, 0.2), start, "Radau", t_eval=t, rtol=1e-10, atol=1e-12
+    ).y  # fmt: skip
+    np.testing.assert_allclose(result["slider"].position[:, 0, 0], right[2], rtol=0, atol=1e-10)
+    np.testing.assert_allclose(result["crank"].omega[:, 0, 2], right[3], rtol=0, atol=1e-7)
+    R = result["crank"].rotation[:, 0]
+    sine, cosine = R[:, 1, 0], R[:, 0, 0]
+    rigid = CRANK * cosine + np.sqrt(ROD**2 - (CRANK * sine) ** 2)
+    # some 50 N on 1e7 N/m
+    np.testing.assert_allclose(result["slider"].position[:, 0, 0], rigid, rtol=0, atol=2e-5)
