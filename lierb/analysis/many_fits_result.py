@@ -110,13 +110,14 @@ class Fits(Estimates):
         """Return the standard deviation of (estimate − mean)/standard error, by name.
 
         It is about 1 if all experiments measure the same numbers and linear theory holds, but for
-        a pose that points of its joint move, which are estimated too.
+        a pose that points of its joint move, which are estimated too. It is NaN for numbers that
+        joints hold.
         """
-        with np.errstate(divide="ignore", invalid="ignore"):
-            return {
-                name: _spread(each / self.standard_errors[name][self.converged])
-                for name, each in self._deviations.items()
-            }
+        ratios = {}
+        for name, each in self._deviations.items():
+            errors = self.standard_errors[name][self.converged]
+            ratios[name] = _spread(each / np.where(errors > 0.0, errors, np.nan))
+        return ratios
 
     @property
     def table(self) -> pa.Table:

@@ -221,7 +221,8 @@ def _check_limits(method: Method, limits: Limits, model: Model, timing: Timing) 
             )
     for row in (row for _, rows in model.rows_by_name for row in rows):
         if not row.is_holonomic:
-            hint = "give the motor's position, or " if row.depends_on_time else ""
+            with_position = "take RATTLie and " * (not limits.takes_constraints)
+            hint = f"{with_position}give the motor's position, or " if row.depends_on_time else ""
             raise ArgumentError(
                 f"{name} is for constraints of the pose, but {row} is one of velocities; "
                 f"{hint}take an explicit method or a Rosenbrock method"

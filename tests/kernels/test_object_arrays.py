@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import math
 
+import mpmath
 import numpy as np
 import pytest
 
 import lierb
+from lierb.kernels.functions import numpy_functions
 from lierb.kernels.functions.copies import traceable
 from lierb.kernels.functions.object_arrays import UntraceableError, has_traced, numbers
 from lierb.kernels.functions.user_number import UserNumber, raw
@@ -120,3 +122,19 @@ def test_writing_into_arrays():
     found = traceable(filled)(*as_traced(MEMBERS))
     assert has_traced(found)
     np.testing.assert_allclose([raw(x) for x in found], filled(**GIVEN), rtol=1e-15)
+
+
+@pytest.mark.parametrize("x", [0.0, 1e-12, 1e-8, 1e-3, 0.1, 0.159, 0.16, 0.5, 3.0])
+def test_sinc_has_its_derivatives_near_zero(x):
+    """sin πx/πx = Σ (−1)ᵏ (πx)²ᵏ/(2k+1)!, term by term in 50 digits."""
+    number = UserNumber(UserNumber(x, (1.0,)), (UserNumber(1.0, (0.0,)),))
+    found = numpy_functions._sinc(number)
+    with mpmath.workdps(50):
+        pi, factorial = mpmath.pi, mpmath.factorial
+        series = {2 * k: (-1) ** k * pi ** (2 * k) / factorial(2 * k + 1) for k in range(40)}
+        value = sum(c * mpmath.mpf(x) ** n for n, c in series.items())
+        first = sum(c * n * mpmath.mpf(x) ** (n - 1) for n, c in series.items() if n)
+        second = sum(c * n * (n - 1) * mpmath.mpf(x) ** (n - 2) for n, c in series.items() if n)
+        assert abs(found.value.value - value) < 1e-15
+        assert abs(found.value.parts[0] - first) < 2e-15
+        assert abs(found.parts[0].parts[0] - second) < 2e-14  # differences beyond the series

@@ -13,7 +13,10 @@ from lierb.kernels.functions import elementary, steps
 from lierb.kernels.functions.object_arrays import UntraceableError, filled, numbers, objects
 from lierb.kernels.functions.references import UnfitFunctionError
 from lierb.kernels.functions.user_number import choice, raw
+from lierb.kernels.numbers.arithmetic import absolute
 
+NEAR = 0.5  # rad; below it the series of sin y/y, whose other terms are less than 1e-19
+SINC = tuple((-1.0) ** k / math.factorial(2 * k + 1) for k in range(9))
 MOST_ROWS = 4  # largest matrix to invert: its determinant is written out as n! terms
 
 
@@ -122,8 +125,14 @@ def _reduction(ufunc: Any) -> Callable[..., Any]:
 
 def _sinc(x: Any) -> Any:
     def one(x: Any) -> Any:
-        y = math.pi * choice(raw(x) == 0.0, 1e-20, x)
-        return elementary.sin(y) / y
+        y = math.pi * x
+        square, series = y * y, 0.0
+        for coefficient in reversed(SINC):
+            series = series * square + coefficient
+        is_near = absolute(raw(y)) < NEAR
+        far = choice(is_near, 1.0, y)
+        # Derivatives of sin y/y are differences of nearly equal numbers near zero.
+        return choice(raw(y) == 0.0, series, choice(is_near, series, elementary.sin(far) / far))
 
     return _each(one, x)
 

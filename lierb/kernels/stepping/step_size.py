@@ -84,6 +84,9 @@ def squared_error(
     """Return the square of a step's error, relative to its tolerance."""
     scales = _scales(plan, body, state, moved, limits, h)
     estimates = [*_estimates(plan, body, slopes, h, scales)]
+    if plan.does_work and plan.prescribes_motion:
+        of_work = _estimates_of_work(plan, state, moved, slopes, h, limits)
+        estimates = [*map(maximum, estimates, of_work)]
     error = estimates[0]
     if len(estimates) > 1:
         fine, coarse = estimates  # err² = e₅⁴ / (e₅² + 0.01 e₃²)
@@ -107,6 +110,23 @@ def _estimates(plan: AnyPlan, body: Any, slopes: Slopes, h: Any, scales: _Scales
         squares = in_memory(plan).slope_squares(body, weights)
         states = weighted((ZERO,) * len(slopes.states[0]), row, slopes.states, h)
         yield _largest_of(body, squares, _squares_of(plan, states), scales)
+
+
+def _estimates_of_work(
+    plan: AnyPlan, state: State, moved: State, slopes: Slopes, h: Any, limits: Tolerances
+) -> Iterator[Any]:
+    """Yield the squares of the error estimates of the work.
+
+    They are for motors of given motion: no force changes that motion, so that an error of the work,
+    as at a stop, has no other effect.
+    """
+    assert plan.method.embedded is not None
+    change = moved.work - state.work
+    size = maximum(moved.work * moved.work, maximum(state.work * state.work, change * change))
+    allowed = limits.rtol * limits.rtol * size
+    for row in plan.method.embedded.weights:
+        (off,) = weighted((ZERO,), row, slopes.work, h)
+        yield where(allowed > 0.0, off * off / where(allowed > 0.0, allowed, 1.0), 0.0)
 
 
 def _is_rough(plan: AnyPlan, body: Any, state: State, moved: State, slopes: Slopes, h: Any) -> Any:

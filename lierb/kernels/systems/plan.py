@@ -127,6 +127,11 @@ class AnyPlan(Tag):
         """True if an element can change E = T + U, so that its work has to be integrated."""
         return any(element.does_work for element in self.elements)
 
+    @property
+    def prescribes_motion(self) -> bool:
+        """True if a motor's position or speed is given as a function of time."""
+        return any(row.depends_on_time for row in self.rows)
+
     @cached_property
     def acting(self) -> tuple[Element, ...]:
         """Elements on which the motion depends."""
@@ -229,6 +234,10 @@ class LoopPlan(AnyPlan):
     @property
     def keeps_rank(self) -> bool:
         return bool(self.constraint_kinds)
+
+    @property
+    def prescribes_motion(self) -> bool:
+        return any(row.depends_on_time for kind in self.constraint_kinds for row in kind.rows)
 
     @property
     def rows(self) -> Rows:
