@@ -192,10 +192,10 @@ def _going_on(
     assert ready.before is not None
     assert ready.before.derivatives is not None
     known, parts = ready.before.derivatives
-    columns = list(state_columns(ready.plan))
+    columns = list(state_columns(ready.plan))[: len(parts)]  # methods carry numbers of their own
     own = [k for p in parameters for k in range(known[p.name].start, known[p.name].stop)]
     states = np.zeros((len(own), parts.shape[-1], ready.inputs.columns.field("state").width))
-    states[:, :, columns] = np.moveaxis(parts[:, own], 0, 2)
+    states[:, :, columns] = np.moveaxis(parts[: len(columns), own], 0, 2)
     return [each | {"state": state} for each, state in zip(directions, states, strict=True)]
 
 

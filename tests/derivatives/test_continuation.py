@@ -87,6 +87,23 @@ def test_pieces_have_the_derivatives_of_the_whole_by_all_kinds_of_methods(option
 
 
 @pytest.mark.long
+@pytest.mark.parametrize("methods", [("alpha2", "RK4"), ("RK4", "alpha2"), ("BLieDF2", "RK4")])
+def test_another_method_goes_on_with_the_derivatives(methods):
+    """Methods that carry numbers begin with new ones, and leave theirs behind."""
+    problem, start = top()
+    names = ("omega0", "joint.body_point")
+    options = {"dt": 5e-4, "cspace": "SE3", "with_respect_to": names}
+    whole = lierb.integrate(problem, **start, t_end=0.2, **options)
+    first, second = methods
+    half = lierb.integrate(problem, **start, t_end=0.1, method=first, **options, solver="saddle")
+    end = lierb.integrate(problem, **half.end, t_end=0.2, method=second, **options, solver="saddle")
+    for name in names:
+        right = whole.sensitivity("twist", name)
+        off = np.abs(end.sensitivity("twist", name) - right).max()
+        assert off < 1e-4 * np.abs(right).max()  # of order 2: (7 rad/s · 5e-4 s)²
+
+
+@pytest.mark.long
 @pytest.mark.parametrize("cspace", ["reduced", "SE3"])
 def test_pieces_of_a_mechanisms_run_have_the_derivatives_of_the_whole(cspace):
     model = double_pendulum()
