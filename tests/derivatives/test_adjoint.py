@@ -159,13 +159,8 @@ RUNS = [
 ]
 
 
-@pytest.mark.parametrize(
-    "options",
-    [
-        pytest.param(run, marks=pytest.mark.long if i else pytest.mark.slow)
-        for i, run in enumerate(RUNS)
-    ],
-)
+@pytest.mark.long
+@pytest.mark.parametrize("options", RUNS)
 def test_every_method_and_formulation_has_its_adjoint(options):
     agree(top(), "aim", **START, **options)
 
@@ -249,7 +244,7 @@ def test_objectives_at_terminal_events_change_with_the_end_time(options):
     assert not found["arrival.wall"].any()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_time_of_a_terminal_event_has_a_gradient():
     """t = 2 v/g: ∂t/∂v = 2/g, ∂t/∂g₃ = t/g, ∂t/∂ground = −1/v; the last throw flies on."""
     speeds = np.array((3.0, 1.0, 20.0))

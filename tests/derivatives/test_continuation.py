@@ -40,20 +40,28 @@ def in_pieces(model, start, ends, names, **options):
     return results
 
 
-@pytest.mark.slow
-def test_pieces_of_a_run_have_the_derivatives_of_the_whole_to_the_bit():
-    """Fifteen directions, in three runs of six."""
+FEW = ("body.mass", "drag.angular", "friction.heat")
+
+
+@pytest.mark.parametrize(
+    "names",
+    [
+        pytest.param(FEW, marks=pytest.mark.slow, id="three directions"),
+        pytest.param(NAMES, marks=pytest.mark.long, id="fifteen directions, six at a time"),
+    ],
+)
+def test_pieces_of_a_run_have_the_derivatives_of_the_whole_to_the_bit(names):
     problem, start = top(states=friction())
-    (whole,) = in_pieces(problem, start, [0.3], NAMES, dt=1e-3)
-    *_, last = in_pieces(problem, start, [0.1, 0.2, 0.3], NAMES, dt=1e-3)
+    (whole,) = in_pieces(problem, start, [0.3], names, dt=1e-3)
+    *_, last = in_pieces(problem, start, [0.1, 0.2, 0.3], names, dt=1e-3)
     tables = whole.sensitivities.summary, last.sensitivities.summary
     for name in tables[0].column_names:
         if not name.startswith("work"):  # counted from the start of a run
             assert tables[0][name].equals(tables[1][name]), name
     assert whole.summary["omega"].equals(last.summary["omega"])
     # only some of the parameters, in another order
-    some = ("drag.angular", "omega0")
-    *_, last = in_pieces(problem, start, [0.1], NAMES, dt=1e-3)
+    some = ("friction.heat", "body.mass")
+    *_, last = in_pieces(problem, start, [0.1], names, dt=1e-3)
     last = lierb.integrate(problem, **last.end, t_end=0.3, dt=1e-3, with_respect_to=some)
     for name in some:
         np.testing.assert_array_equal(
@@ -131,12 +139,16 @@ def test_ends_without_the_derivatives_that_a_run_needs_are_refused():
     plain = lierb.integrate(problem, **start, t_end=0.1, **run).end
     with pytest.raises(ArgumentError, match="had none; give it the same parameters"):
         lierb.integrate(problem, **plain, t_end=0.2, with_respect_to="omega0", **run)
-    (one,) = in_pieces(problem, start, [0.1], NAMES, **run)
+    (one,) = in_pieces(problem, start, [0.1], FEW, **run)
     with pytest.raises(ArgumentError, match="has none by gravity; name it there too"):
         lierb.integrate(problem, **one.end, t_end=0.2, with_respect_to="gravity", **run)
     with pytest.raises(ArgumentError, match="from which an adjoint does not go back"):
         lierb.gradient(problem, "energy", "body.mass", **one.end, t_end=0.2, **run)
-    looped = chain(8)
+
+
+@pytest.mark.long
+def test_looped_code_and_controllers_do_not_go_on_with_derivatives():
+    looped, run = chain(8), {"dt": 1e-3}
     end = lierb.integrate(looped[0], **looped[1], dt=1e-3, t_end=0.01, solver="looped").end
     with pytest.raises(ArgumentError, match="looped code does not go on"):
         lierb.integrate(

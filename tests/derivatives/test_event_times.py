@@ -194,7 +194,8 @@ def reached(states, omega, params):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "solver", [None, "looped", pytest.param("unrolled", marks=pytest.mark.long)]
+    "solver",
+    [None, *(pytest.param(x, marks=pytest.mark.long) for x in ("looped", "unrolled"))],
 )
 def test_events_that_read_extra_states_have_the_derivatives_of_their_closed_form(solver):
     """s = ω₀ t + α t²/2 and ω = ω₀ + α t reach s + ω/2 = 2, α being the torque over 0.25 kg m²."""

@@ -199,7 +199,7 @@ def test_a_start_and_a_point_of_the_joint_agree_with_single_fits():
     assert [str(each) for each in many.unidentifiable] == ["joint.body_point[1] has no effect"]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_mass_and_a_start_of_a_mechanism_agree_with_single_fits():
     """The other link follows the start by least kinetic energy: at the mass of the guess."""
     from mechanisms.shared import double_pendulum

@@ -53,7 +53,7 @@ def all_derivatives(result, names) -> dict[str, np.ndarray]:
 # ---- values and bits ---------------------------------------------------------------------------
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_adaptive_steps_have_the_derivatives_of_complex_steps():
     problem, start, result = adaptive()
     compare(problem, "spherical", start["pose0"], start["twist0"], result)

@@ -139,7 +139,7 @@ def test_arguments_that_do_not_fit_are_refused(given, message):
         lierb.propagate(oscillator(), **arguments)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_runs_of_the_sample_that_fail_are_told():
     """Bodies that spin fast need more steps than they may take."""
     flight = lierb.Problem(lierb.Body(1.0, (0.1, 0.2, 0.25)), lierb.joints.free())
