@@ -920,6 +920,7 @@ class Unprintable:
         raise RuntimeError("no")
 
 
+@pytest.mark.slow
 def test_names_that_cannot_be_printed_are_refused():
     flight = lierb.Problem(lierb.bodies.sphere(0.1, mass=1.0), joints.free())
     result = lierb.integrate(flight, dt=0.1, t_end=0.2)

@@ -566,6 +566,7 @@ def test_a_printed_fit_shows_the_pose_and_what_the_joint_holds():
     assert "held" not in repr(replace(fitted(pendulum(), exact, "pose0"), chi2=0.0))
 
 
+@pytest.mark.slow
 def test_a_whole_history_is_read_without_the_errors_of_joints():
     flight = lierb.Problem(lierb.bodies.sphere(0.1, mass=1.0), lierb.joints.free())
     run = {"twist0": np.ones(6), "dt": 0.1, "t_end": 0.2, "save_every": 1, "record": "state"}
