@@ -14,7 +14,6 @@ from lierb.analysis.varied_runs import options_and_threads
 from lierb.api import checked_model, report_start, start_check
 from lierb.errors import ArgumentError, FailedTrajectoryWarning, unknown_name
 from lierb.kernels.loops.adjoint import END_TIME
-from lierb.kernels.systems.plan import MechanismPlan
 from lierb.kernels.systems.system_of import plan_with_derivatives
 from lierb.model.base import Model
 from lierb.model.connections import NOWHERE
@@ -225,7 +224,7 @@ def _obstacles(prepared: Ready) -> Iterator[str]:
             "the start is the end of another run, from which an adjoint does not go back; begin "
             "with a copy of its poses, pose0=pose0.copy()"
         )
-    if isinstance(plan, MechanismPlan) and plan.is_in_memory:
+    if plan.is_in_memory:
         yield 'looped code has no adjoint; take solver="unrolled", or integrate(with_respect_to=…)'
     if model.controllers:
         yield (

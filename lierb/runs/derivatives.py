@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 
 from lierb.errors import ArgumentError
 from lierb.kernels.loops.ends import end_columns, end_parts, state_columns
+from lierb.kernels.mechanics.passive_elements import EVERY
 from lierb.kernels.systems.layout import FEW_DIRECTIONS, MANY_DIRECTIONS, Columns
-from lierb.kernels.systems.plan import AnyPlan, MechanismPlan
+from lierb.kernels.systems.plan import AnyPlan
 from lierb.kernels.systems.signals import events_of
 from lierb.kernels.systems.state import EVENT
 from lierb.kernels.systems.system_of import plan_with_derivatives
@@ -108,7 +109,7 @@ def _unfit_end(ready: Ready, parameters: tuple[Parameter, ...]) -> Iterator[str]
         return
     anew = "begin with a copy of its poses, pose0=pose0.copy(), and apply the chain rule"
     controllers = [f"{each.name}, a controller," for each in ready.model.controllers]
-    for what in controllers or ["looped code"] * _is_looped(ready.plan):
+    for what in controllers or ["looped code"] * ready.plan.is_in_memory:
         yield f"{what} does not go on from result.end with derivatives; {anew}"
     known = ready.before.derivatives
     if known is None:
@@ -156,14 +157,14 @@ def integrate_with_derivatives(
     start, inputs = start_and_inputs(ready)
     names = [field.name for field, _ in inputs.columns]
     moving = fields_of(parameters, names)
-    if _is_looped(plan):  # its code looks them up by column
+    if plan.is_in_memory:  # its code looks them up by column
         moving = tuple(names[: names.index("state")])
     with np.errstate(all="ignore"):  # of starts that violate their joints, which are refused later
         directions = all_directions(parameters, start)
     if ready.before is not None:
         moving = (*(name for name in moving if name not in inputs.starts), "state")
         directions = _going_on(ready, parameters, directions)
-    abreast = _abreast(len(directions), _is_looped(plan))
+    abreast = _abreast(len(directions), plan.is_in_memory)
     differentiated = plan_with_derivatives(plan, moving, abreast)
     starts = range(0, len(directions), abreast)
     outputs: list[Output] = []
@@ -179,10 +180,6 @@ def integrate_with_derivatives(
     return replace(
         outputs[0], plan=plan, ends=outputs[0].ends[: len(end_columns(plan))]
     ), derivatives
-
-
-def _is_looped(plan: AnyPlan) -> bool:
-    return isinstance(plan, MechanismPlan) and plan.is_in_memory
 
 
 def _going_on(
@@ -319,7 +316,7 @@ def _at_ticks(
     reads = np.array(["controls" in f.form for e in model.events for f in e.kind.functions[:1]])
     is_tick = np.zeros(len(times), dtype=bool)
     for controller in model.controllers:
-        every = np.ravel(controller.parameters["every"])
+        every = np.ravel(controller.parameters[EVERY])
         period = every[trajectories] if len(every) > 1 else every
         is_tick |= np.abs(times - np.rint(times / period) * period) <= TICK * np.abs(times)
     return np.asarray(is_tick & reads[events])

@@ -132,7 +132,7 @@ def _sinc(x: Any) -> Any:
         is_near = absolute(raw(y)) < NEAR
         far = choice(is_near, 1.0, y)
         # Derivatives of sin y/y are differences of nearly equal numbers near zero.
-        return choice(raw(y) == 0.0, series, choice(is_near, series, elementary.sin(far) / far))
+        return choice(is_near, series, elementary.sin(far) / far)
 
     return _each(one, x)
 

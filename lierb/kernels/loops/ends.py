@@ -19,7 +19,7 @@ from lierb.kernels.systems.derivatives import (
     seeds_of_state,
     with_parts,
 )
-from lierb.kernels.systems.plan import AnyPlan, MechanismPlan
+from lierb.kernels.systems.plan import AnyPlan
 from lierb.kernels.systems.signals import lane_end
 from lierb.kernels.systems.state import State
 from lierb.kernels.systems.system_of import in_memory, system_of
@@ -98,8 +98,8 @@ def end_columns(plan: AnyPlan) -> tuple[int, ...]:
 
 def end_parts(plan: AnyPlan) -> int:
     """Return the number of derivatives of a state that are stored at the end of a run."""
-    is_in_memory = plan.is_looped or (isinstance(plan, MechanismPlan) and plan.is_in_memory)
-    return 0 if is_in_memory else plan.directions * len(state_columns(plan))
+    in_loop = plan.is_looped or plan.is_in_memory
+    return 0 if in_loop else plan.directions * len(state_columns(plan))
 
 
 @lru_cache(64)

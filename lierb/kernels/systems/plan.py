@@ -57,6 +57,11 @@ class AnyPlan(Tag):
     is_looped: ClassVar[bool] = False  # True if the size of the system is known at run time only
 
     @property
+    def is_in_memory(self) -> bool:
+        """True if a looped plan runs it, whose code loops over nodes in memory."""
+        return False
+
+    @property
     def directions(self) -> int:
         """Number of derivatives that a run carries."""
         return self.abreast if self.moving else 0
@@ -326,7 +331,6 @@ class MechanismPlan(AnyPlan):
 
     @property
     def is_in_memory(self) -> bool:
-        """True if the code loops over nodes in memory."""
         return bool(self.joint_kinds)
 
     @cached_property
