@@ -221,9 +221,14 @@ def test_end_times_and_observables_have_linear_theory(tmp_path):
     }  # fmt: skip
     study = Study.of(throw, folder=tmp_path)
     dataset = lierb.run(study, tmp_path / "out")
-    reach, odometer, time = linear_theories(dataset)
-    named = [(each.name, each.unit) for each in (reach, odometer, time)]
-    assert named == [("reach_final", "m"), ("odometer 1", "m"), ("t", "s")]  # the other is constant
+    reach, largest, mean, odometer, time = linear_theories(dataset)
+    named = [(each.name, each.unit) for each in (reach, largest, mean, odometer, time)]
+    assert named == [  # the least reach and the other component are constant
+        ("reach_final", "m"), ("reach_max", "m"), ("reach_mean", "m"), ("odometer 1", "m"),
+        ("t", "s"),
+    ]  # fmt: skip
+    for each in (largest, mean):  # the reach is u t at the end, and u t/2 in the mean
+        assert each.shares == pytest.approx(reach.shares, rel=1e-9)
     assert odometer.shares == pytest.approx(time.shares, rel=1e-12)  # it is 2 t
     table = dataset.table().to_table()
     u, w = as_array(table["sample.initial.twist"])[:, [3, 5]].T

@@ -12,6 +12,7 @@ import pyarrow as pa
 from lierb.errors import require_name
 from lierb.kernels.systems.layout import Columns
 from lierb.kernels.systems.measures import MEASURES
+from lierb.kernels.systems.observables import DIFFERENTIATED
 from lierb.model.base import Model
 from lierb.results.columns import as_array, numbers, vectors
 from lierb.results.tables import REACTION_UNITS
@@ -34,7 +35,9 @@ class Sensitivities(NamedTuple):
     Attributes
     ----------
     summary : pyarrow.Table
-        Derivatives at the end of each trajectory, in the rows of `Result.summary`.
+        Derivatives at the end of each trajectory, in the rows of `Result.summary`, and those of
+        minimum, maximum and mean of each observable, by the names there. A maximum changes with the
+        value at the time of measurement that has it.
     history : pyarrow.Table or None
         Derivatives at the saved times, in the rows of `Result.history`.
     events : pyarrow.Table or None
@@ -125,6 +128,10 @@ def sensitivities(
     columns = {"trajectory": numbers(np.arange(count, dtype=np.int64)), "t": numbers(output.t)}
     fields = [pa.field(name, array.type) for name, array in columns.items()]
     ends = [*_columns(derivatives, derivatives.ends, model)]
+    named = ((each, of) for each in model.observables for of in DIFFERENTIATED)
+    for i, (each, of) in enumerate(named):
+        statistic = _Quantity(f"{each.name}_{of}", slice(i, i + 1), (), each.unit)
+        ends += _of(derivatives, statistic, derivatives.statistics[statistic.part])
     if any(event.terminal for event in model.events):
         ends += _of(derivatives, TIME, derivatives.times[None])
     first = [*zip(fields, columns.values(), strict=True)]

@@ -14,15 +14,17 @@ from lierb.errors import ArgumentError
 from lierb.kernels.loops.ends import end_columns, end_parts, state_columns
 from lierb.kernels.mechanics.passive_elements import EVERY
 from lierb.kernels.systems.layout import FEW_DIRECTIONS, MANY_DIRECTIONS, Columns
+from lierb.kernels.systems.observables import DIFFERENTIATED, KEEPS
 from lierb.kernels.systems.plan import AnyPlan
 from lierb.kernels.systems.signals import events_of
-from lierb.kernels.systems.state import EVENT
+from lierb.kernels.systems.state import EVENT, OK
 from lierb.kernels.systems.system_of import plan_with_derivatives
 from lierb.model.base import Model
 from lierb.runs import engine
 from lierb.runs.continuation import EndDerivatives
 from lierb.runs.inputs import Inputs
-from lierb.runs.output import Output, derivatives_of
+from lierb.runs.lane_engine import LaneTime
+from lierb.runs.output import Output, derivatives_of, kept_derivatives
 from lierb.runs.parameters import Parameter, all_directions, fields_of, slices_of
 from lierb.runs.start_directions import Start
 from lierb.runs.starts import Ready
@@ -42,6 +44,8 @@ class Derivatives(NamedTuple):
     last one may have more than there are.
     ends : at the end of each trajectory, [column][direction][trajectory].
     times : of the end times, s, [direction][trajectory]; zero but for ends by events.
+    statistics : of DIFFERENTIATED of each observable, [observable, statistic][direction]
+        [trajectory].
     events : at the events, [column][direction][event].   event_times : of their times, s,
         [direction][event].
     state : of the state of the kernels at the end; None in looped code.
@@ -52,6 +56,7 @@ class Derivatives(NamedTuple):
     parts: tuple[Array, ...]
     ends: Array
     times: Array
+    statistics: Array
     events: Array
     event_times: Array
     state: EndDerivatives | None
@@ -88,8 +93,9 @@ def require_differentiable(
 
 def derivative_bytes(ready: Ready, parameters: tuple[Parameter, ...]) -> int:
     """Return the bytes of a trajectory's derivatives in memory, at the saved times and the end."""
-    numbers = derivatives_of(ready.plan).count * sum(p.size for p in parameters)
-    return COPIES * 8 * numbers * (ready.times.saved_rows + 1)
+    numbers, directions = derivatives_of(ready.plan).count, sum(p.size for p in parameters)
+    at_end = numbers + kept_derivatives(ready.plan)
+    return COPIES * 8 * directions * (numbers * ready.times.saved_rows + at_end)
 
 
 def obstacles(ready: Ready) -> Iterator[str]:
@@ -266,28 +272,68 @@ def _together(
 
     of_rows = shaped((each.derivatives for each in outputs), saved, n)
     ends = joined([each.end_derivatives for each in outputs])
-    times = np.zeros((count, n))
+    times, statistics = np.zeros((count, n)), _of_statistics(outputs)[:, :count]
     events, event_times = np.zeros((columns.count, count, 0)), np.zeros((count, 0))
     first = columns["events"].start
     if events_of(plan):
         pairs = np.array([*ending_events(ready, outputs[0])], dtype=int).reshape(-1, 2)
         at, which = pairs.T
-        in_time = outputs[0].end_derivatives[whole:, at]
+        in_time = slice(whole, whole + columns.count)
+        slopes = outputs[0].end_derivatives[in_time, at]
         is_fixed = _at_ticks(ready.model, at, which, outputs[0].t[at])
-        found = _at_events(ends[:, :, at], in_time, first + which, is_fixed)
+        found = _at_events(ends[:, :, at], slopes, first + which, is_fixed)
         ends[:, :, at], times[:, at] = found
+        _move_ends(statistics, outputs[0], ends[columns["observables"]], times, at)
         rows: Any = outputs[0].events
         of_events: list[Any] = [each.event_derivatives for each in outputs]
         at, which = rows[:, :2].astype(int).T
         is_fixed = _at_ticks(ready.model, at, which, rows[:, 2])
-        in_time = of_events[0][whole:]
-        events, event_times = _at_events(joined(of_events), in_time, first + which, is_fixed)
+        slopes = of_events[0][in_time]
+        events, event_times = _at_events(joined(of_events), slopes, first + which, is_fixed)
     state = None
     if end_parts(plan):
         stored = len(end_columns(plan))
         own = [each.ends[stored:].reshape(-1, plan.directions, n) for each in outputs]
         state = EndDerivatives(slices_of(parameters), np.concatenate(own, axis=1)[:, :count])
-    return Derivatives(parameters, columns, tuple(of_rows), ends, times, events, event_times, state)
+    return Derivatives(
+        parameters, columns, tuple(of_rows), ends, times, statistics, events, event_times, state
+    )
+
+
+def _of_statistics(outputs: list[Output]) -> Array:
+    """Return the derivatives of observables' statistics, [observable, statistic][direction][…].
+
+    Those of a failed trajectory are NaN.
+    """
+    plan, ok = outputs[0].plan, np.isin(outputs[0].status, (OK, EVENT))
+    count = kept_derivatives(plan) * plan.directions
+    rows = [each.end_derivatives[len(each.end_derivatives) - count :] for each in outputs]
+    parts = [each.reshape(-1, plan.directions, len(ok)) for each in rows]
+    return np.where(ok, np.concatenate(parts, axis=1), np.nan)
+
+
+def _move_ends(
+    statistics: Array, output: Output, ends: Array, times: Array, at: NDArray[np.int64]
+) -> None:
+    """Add the changes of end times to the derivatives of statistics.
+
+    An extreme at the end is the final value. The mean m over the time T changes by (g − m) ∂T/T for
+    a final value g.
+
+    ends, times : derivatives of observables and end times.   at : trajectories ended by events.
+    """
+    kept = output.observed[: len(KEEPS) * len(ends), at].reshape(len(ends), len(KEEPS), len(at))
+    assert isinstance(output.clock, LaneTime)  # as all runs with events
+    lasted = output.t[at] - output.clock.span.start
+    for own, (least, largest, mean, final), end in zip(
+        statistics.reshape(len(ends), len(DIFFERENTIATED), *times.shape),
+        kept,
+        ends[:, :, at],
+        strict=True,
+    ):
+        for statistic, extreme in enumerate((least, largest)):
+            own[statistic][:, at] = np.where(extreme == final, end, own[statistic][:, at])
+        own[2][:, at] += (final - mean) / np.where(lasted > 0.0, lasted, 1.0) * times[:, at]
 
 
 def _at_events(

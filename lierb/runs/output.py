@@ -23,6 +23,7 @@ from lierb.kernels.stepping.clock import Clock, StepClock, time_of
 from lierb.kernels.systems.derivatives import derivative_columns
 from lierb.kernels.systems.layout import LANE_SUMMARY, POSE_AND_TWIST, Columns
 from lierb.kernels.systems.measures import KEPT, SUMMARY
+from lierb.kernels.systems.observables import DIFFERENTIATED, observables_of
 from lierb.kernels.systems.plan import AnyPlan
 from lierb.kernels.systems.signals import events_of
 from lierb.kernels.systems.state import OK
@@ -48,7 +49,8 @@ class Output:
         of `state_columns`, [column, direction][trajectory].
     derivatives : [column, direction][time][trajectory], of `derivative_columns`.
     end_derivatives : at the end, [column, direction][trajectory]; then, for a model with events,
-        those in time, [column][trajectory].
+        those in time, [column][trajectory]; then those of DIFFERENTIATED of each observable,
+        [observable, statistic, direction][trajectory].
     raised : description of each trajectory's first exception in a user's function.
     events : [event][trajectory, index, t, state of every link, extra states and outputs], sorted by
         trajectory and time; None without events.
@@ -192,8 +194,19 @@ def _shapes(plan: AnyPlan, count: int, rows: int, with_state: bool) -> tuple[tup
         (rows * plan.reaction * max(len(system.joints), 1), count, 6),
         (len(end_columns(plan)) + end_parts(plan), count),
         (derivatives * plan.directions, rows, count),
-        (derivatives * (plan.directions + bool(events_of(plan))), count),
+        (_end_derivatives(plan, derivatives), count),
     )
+
+
+def _end_derivatives(plan: AnyPlan, columns: int) -> int:
+    """Return the number of derivatives at the end.   columns : of `derivatives_of`, 0 for none."""
+    in_time = columns * bool(events_of(plan))
+    return columns * plan.directions + in_time + kept_derivatives(plan) * plan.directions
+
+
+def kept_derivatives(plan: AnyPlan) -> int:
+    """Return the number of statistics of observables that have derivatives."""
+    return len(DIFFERENTIATED) * len(observables_of(plan))
 
 
 def derivatives_of(plan: AnyPlan) -> Columns:

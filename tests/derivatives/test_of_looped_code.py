@@ -101,6 +101,11 @@ def passes(r, params):
     return r[0] - params.level
 
 
+@lierb.observable
+def away(r):
+    return r[0]
+
+
 def arm(stiffness=20.0, mass=0.7):
     """Ten links of an arm, springs in two of its joints, and a plane that its end never reaches."""
     links = [
@@ -118,8 +123,9 @@ def arm(stiffness=20.0, mass=0.7):
         lierb.forces.torsional_spring(stiffness=stiffness).on(name) for name in ("link2", "link7")
     ]
     return lierb.Mechanism(
-        links, gravity=(0.0, 0.0, -9.81), forces=springs, events=passes().on("link9")
-    )
+        links, gravity=(0.0, 0.0, -9.81), forces=springs, events=passes().on("link9"),
+        observables=away().on("link9"),
+    )  # fmt: skip
 
 
 STIFFNESS = "link7.torsional_spring.stiffness"
@@ -151,6 +157,18 @@ def test_derivatives_of_an_arm_are_those_of_differences_and_keep_its_energy():
             found = result.sensitivity(f"{link}.twist", name)[1, 0, :3, 0]
             expected = (rates[1] - rates[0]) / (2.0 * step)
             np.testing.assert_allclose(found, expected, rtol=1e-5, atol=1e-6)  # of differences
+
+
+@pytest.mark.long
+def test_statistics_have_the_derivatives_of_differences():
+    options = {"dt": 2e-3, "t_end": 0.5}
+    result = lierb.integrate(arm(), **moving(arm()), **options, with_respect_to=STIFFNESS)
+    model = arm().with_({STIFFNESS: [20.0 - 1e-3, 20.0 + 1e-3]})
+    ends = lierb.integrate(model, **moving(arm()), **options).summary
+    for of in ("away_min", "away_max", "away_mean"):
+        less, more = ends[of].to_numpy()
+        expected = (more - less) / 2e-3
+        np.testing.assert_allclose(result.sensitivity(of, STIFFNESS)[0, 0], expected, rtol=1e-6)
 
 
 @pytest.mark.long

@@ -8,7 +8,8 @@ from derivatives.complex_steps import H
 from lierb.errors import ArgumentError, DerivativeWarning
 
 INERTIA, PERIOD, TICKS = 0.1, 0.05, 20
-END = PERIOD * (TICKS + 0.4)
+LENGTHS = PERIOD * np.array((*[1.0] * TICKS, 0.4))  # of the times between ticks, s
+END = LENGTHS.sum()
 JOINT = lierb.joints.revolute()
 START = {"twist0": JOINT.twist(omega=(0.0, 0.0, 1.0)), "t_end": END}
 VALUES = {"gain": 2.0, "damping": 0.3, "share": 0.7, "last": 0.2, "bias": 0.0}
@@ -31,20 +32,43 @@ def drive(t, R, r, omega, v, params, controls):
     return (0.0, 0.0, controls.torque), (0.0, 0.0, 0.0)
 
 
-def wheel(**values):
+@lierb.observable
+def turned(R):
+    return np.arctan2(R[1, 0], R[0, 0])
+
+
+def wheel(observables=(), **values):
     body = lierb.Body(1.0, (INERTIA, INERTIA, INERTIA))
-    return lierb.Problem(body, JOINT, forces=drive(), controllers=servo(**values))
+    return lierb.Problem(
+        body, JOINT, forces=drive(), controllers=servo(**values), observables=observables
+    )
 
 
-def exact(gain, damping, share, last, inertia, speed, **_):
-    """Angle, rate and torque at the end: constant torque from tick to tick."""
-    angle, rate, torque = 0.0, speed, 0.0
-    for k in range(TICKS + 1):
+def torques(gain, damping, share, last, inertia=INERTIA, speed=1.0, **_):
+    """Torque from tick to tick; angle and rate at the end."""
+    angle, rate, held = 0.0, speed, []
+    for h in LENGTHS:
         last = share * angle + (1.0 - share) * last
-        torque = -gain * last - damping * rate
-        h = PERIOD if k < TICKS else 0.4 * PERIOD
-        angle, rate = angle + rate * h + 0.5 * torque / inertia * h * h, rate + torque / inertia * h
-    return np.array((angle, rate, torque))
+        held.append(-gain * last - damping * rate)
+        angle += rate * h + 0.5 * held[-1] / inertia * h * h
+        rate += held[-1] / inertia * h
+    return np.array(held), angle, rate
+
+
+def exact(**values):
+    """Angle, rate and torque at the end."""
+    held, angle, rate = torques(**values)
+    return np.array((angle, rate, held[-1]))
+
+
+def angles(speed=1.0, inertia=INERTIA, **values):
+    """Angle at the ends of steps of 0.01 s."""
+    angle, rate, seen = 0.0, speed, []
+    for torque, length in zip(torques(**values)[0], LENGTHS, strict=True):
+        steps = 0.01 * np.arange(1, round(length / 0.01) + 1)
+        seen += [angle + rate * h + 0.5 * torque / inertia * h * h for h in steps]
+        angle, rate = seen[-1], rate + torque / inertia * length
+    return np.array(seen)
 
 
 NAMES = {
@@ -112,7 +136,10 @@ def test_controllers_that_switch_are_named_and_periods_refused():
 @pytest.mark.slow
 def test_looped_code_carries_them_too():
     links = [lierb.Link("wheel", lierb.Body(1.0, (INERTIA,) * 3), JOINT)]
-    mechanism = lierb.Mechanism(links, forces=drive().on("wheel"), controllers=servo().on("wheel"))
+    mechanism = lierb.Mechanism(
+        links, forces=drive().on("wheel"), controllers=servo().on("wheel"),
+        observables=turned().on("wheel"),
+    )  # fmt: skip
     pose0 = mechanism.pose()
     result = lierb.integrate(
         mechanism, pose0=pose0, twist0=mechanism.twist({"wheel": 1.0}, pose0), t_end=END, dt=0.01,
@@ -122,8 +149,11 @@ def test_looped_code_carries_them_too():
     moved = exact(**values).imag / H
     found = result.sensitivity("wheel.twist", "wheel.servo.gain")[0, 2, 0]
     assert found == pytest.approx(moved[1], rel=1e-9)
-    torque = result.sensitivity("torque", "wheel.servo.gain")[0, 0]
-    assert torque == pytest.approx(moved[2], rel=1e-9)
+    held = result.sensitivity("torque", "wheel.servo.gain")[0, 0]
+    assert held == pytest.approx(moved[2], rel=1e-9)
+    seen = angles(**values)
+    largest = result.sensitivity("turned_max", "wheel.servo.gain")[0, 0]
+    assert largest == pytest.approx(seen[np.argmax(seen.real)].imag / H, rel=1e-9)
 
 
 @lierb.controller(every=0.25, gain=1.0)

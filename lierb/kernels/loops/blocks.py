@@ -168,7 +168,7 @@ def integrate_blocks(plan, inputs, counter, jobs):
         if stop < clock.steps:
             store_carried(plan, body, carried, first, state, record)
         else:
-            store_summary(plan, body, record, summary, column)
+            store_summary(plan, body, record, summary, slopes, slopes.shape[0], column)
             store_end(plan, body, state, record, ends, column)
             store_end_derivatives(
                 plan, body, inputs, state, record, slopes, column, time_of(clock, k)

@@ -9,6 +9,7 @@ from lierb.kernels.loops.lane_state import Lanes, put_row, put_rows, row_of
 from lierb.kernels.loops.lane_steps import Made, inside
 from lierb.kernels.loops.record import Record, observe, with_all_parts, without_measures
 from lierb.kernels.numbers.arithmetic import absolute, all_lanes, any_lanes, load, store, where
+from lierb.kernels.numbers.dual import values
 from lierb.kernels.stepping.lane_clock import LaneClock, Trial, rounding_at
 from lierb.kernels.stepping.method import Interval
 from lierb.kernels.stepping.method_of import method_of
@@ -75,14 +76,14 @@ def select_due_between(plan: AnyPlan, rows: Any, lanes: Lanes, trial: Trial, acc
     put_row(plan, rows, ws.THETA, where(due, (clock.due - trial.start) / length, 0.0))
 
 
-@on_values
 def shown_between(
     plan: AnyPlan, body: Any, state: State, lanes: Lanes
 ) -> tuple[tuple[Any, ...], Record]:
     """Return a row of the history at its due time, and the record."""
-    shown, seen = observe(plan, body, state, lanes.record, lanes.clock.steps, lanes.clock.due)
-    record = without_measures(plan, lanes.record, seen)
-    return (*shown, *state.states, *lanes.control.controls), record
+    clock, (body, state, record) = lanes.clock, values((body, state, lanes.record))
+    shown, seen = observe(plan, body, state, record, clock.steps, clock.due)
+    row = (*shown, *state.states, *values(lanes.control.controls))
+    return row, without_measures(plan, lanes.record, seen)
 
 
 def with_record(lanes: Lanes, record: Record) -> Lanes:

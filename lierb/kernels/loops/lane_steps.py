@@ -60,7 +60,7 @@ from lierb.kernels.stepping.step_size import (
 )
 from lierb.kernels.stepping.travel import longest_step
 from lierb.kernels.systems.combine import NAN
-from lierb.kernels.systems.derivatives import completed, on_values
+from lierb.kernels.systems.derivatives import completed
 from lierb.kernels.systems.extra_states import Control, with_signals
 from lierb.kernels.systems.observables import Kept, observables_of, with_value
 from lierb.kernels.systems.plan import AnyPlan
@@ -300,7 +300,6 @@ def _set_tick(ticks: Vec, number: int, new: Any, mask: Any) -> Vec:
     return tuple(where(mask, new, old) if i == number else old for i, old in enumerate(ticks))
 
 
-@on_values
 def _observed(plan: AnyPlan, body: Any, lanes: Lanes, half: Any) -> tuple[Kept, ...]:
     """Return the statistics of the observables, with their current values added.
 
@@ -309,10 +308,10 @@ def _observed(plan: AnyPlan, body: Any, lanes: Lanes, half: Any) -> tuple[Kept, 
     time, record = lanes.clock.t, lanes.record
     system, body = system_of(plan), with_signals(plan, body, lanes.state, lanes.control)
     alive = record.status == OK
-    values = system.observed(body, system.motion(body, lanes.state, time), time)
+    seen = completed(plan, system.observed(body, system.motion(body, lanes.state, time), time))
     return tuple(
         with_value(old, where(alive, value, NAN), half, alive, by_halves=True)
-        for old, value in zip(record.observed, values, strict=True)
+        for old, value in zip(record.observed, seen, strict=True)
     )
 
 

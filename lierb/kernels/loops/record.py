@@ -84,9 +84,9 @@ def carried_columns(plan: AnyPlan) -> Columns:
     columns = (
         Field("state", (system_of(plan).state.count,)), Field("kept", (len(KEPT),)),
         Field("first_energy"), Field("status"), Field("failed_step"), Field("dropped"),
-        Field("flags"), Field("observed", (len(Kept._fields) * len(observables_of(plan)),)),
+        Field("flags"), Field("observed", (kept_numbers(plan),)),
         Field("joints", (joint_columns(plan),)), Field("turns", (int(plan.method.iterates),)),
-        Field("parts", (plan.directions * system_of(plan).state.count,)),
+        Field("parts", (plan.directions * (system_of(plan).state.count + kept_numbers(plan)),)),
     )  # fmt: skip
     if not plan.has_lane_clocks:
         return Columns(*columns)
@@ -117,6 +117,11 @@ def lane_column(plan: AnyPlan) -> int:
     """Return the first column of LANE_SUMMARY in a summary, if lanes have separate clocks."""
     own = SUMMARY.count + len(KEEPS) * len(observables_of(plan)) + joint_columns(plan)
     return own + plan.method.iterates
+
+
+def kept_numbers(plan: AnyPlan) -> int:
+    """Return the number of a record's numbers for statistics of observables."""
+    return len(Kept._fields) * len(observables_of(plan))
 
 
 def history_columns(plan: AnyPlan) -> int:
@@ -183,7 +188,7 @@ def initial_record(plan: AnyPlan, body: Any, state: State) -> Record:
     dropped = system.dropped(body, state)
     if plan.calls_functions and not plan.has_lane_clocks:
         calls.set_exception_flags(nothing + float(calls.CLEAR))
-    watched = nothing_kept(plan, nothing)
+    watched = completed(plan, nothing_kept(plan, nothing))
     joints = (nothing,) * joint_columns(plan)
     kept, turns = (nothing,) * len(KEPT), (nothing,) * plan.method.iterates
     return Record(kept, energy, nothing, nothing, nothing + dropped, watched, joints, turns)
@@ -204,11 +209,12 @@ def load_carried(plan: AnyPlan, body: Any, carried: Any, first: Any) -> tuple[St
     """Load state, record and exception flags of a block, from the last call."""
     columns = carried_columns(plan)
     parts = columns.parts(load_columns(plan, carried, range(columns.count), first))
-    whole = with_parts(plan, parts["state"], parts["parts"])
-    state = with_all_parts(plan, system_of(plan).state_of(whole, body))
-    numbers = (parts[name][0] for name in ("first_energy", "status", "failed_step", "dropped"))
-    energy, status, step, dropped = numbers
-    observed = kept_of(parts["observed"])
+    numbers = with_parts(plan, (*parts["state"], *parts["observed"]), parts["parts"])
+    own = len(parts["state"])
+    state = with_all_parts(plan, system_of(plan).state_of(numbers[:own], body))
+    observed = kept_of(tuple(numbers[own:]))
+    names = "first_energy", "status", "failed_step", "dropped"
+    energy, status, step, dropped = (parts[name][0] for name in names)
     if plan.is_looped:
         in_memory(plan).load_state(body, carried, columns.count, first)
     kept, joints, turns = (parts[name] for name in ("kept", "joints", "turns"))
@@ -233,8 +239,8 @@ def store_carried(
     for c, number in enumerate((*flatten(values(state)), *kept, *numbers, *flags)):
         store(carried, (c, first), number, plan.lanes)
     behind = carried_columns(plan)["observed"].start
-    parts = parts_side_by_side(state, plan.directions) if plan.moving else []
-    for c, number in enumerate((*flatten((observed, joints, turns)), *parts), behind):
+    parts = parts_side_by_side((state, observed), plan.directions) if plan.moving else []
+    for c, number in enumerate((*flatten((values(observed), joints, turns)), *parts), behind):
         store(carried, (c, first), number, plan.lanes)
     if plan.is_looped:
         in_memory(plan).store_state(body, carried, carried_columns(plan).count, first)
@@ -273,7 +279,6 @@ def are_finite(*numbers: Any) -> Any:
     return absolute(numbers[0]) <= LARGEST  # false for NaN
 
 
-@on_values
 def observe(
     plan: AnyPlan,
     body: Any,
@@ -289,14 +294,33 @@ def observe(
     share : weight of the step in means, a fraction of the run's time; with `by_halves`, half the
         time since the last step, which is the weight of both.
 
+    Statistics of observables have derivatives; measures have none.
+    """
+    if not observables_of(plan):
+        body, state = values(body), values(state)
+    seen = system_of(plan).motion(body, state, time)
+    watched = completed(plan, system_of(plan).observed(body, seen, time))
+    if may_raise(plan):
+        record = with_exceptions(plan, record, k)
+    shown, errors, measured = _measured(plan, body, state, record, k, time, seen)
+    alive = measured.status == OK
+    # A function of time alone has one value for the block; `where` extends it to all lanes.
+    watched = tuple(where(alive, value, NAN) for value in watched)
+    pairs = zip(record.observed, watched, strict=True)
+    kept = tuple(with_value(old, value, share, alive, by_halves) for old, value in pairs)
+    return (*shown, *values(watched), *errors), measured._replace(observed=kept)
+
+
+@on_values
+def _measured(
+    plan: AnyPlan, body: Any, state: State, record: Record, k: Any, time: Any, seen: Any
+) -> tuple[tuple[Any, ...], tuple[Any, ...], Record]:
+    """Return the measures, the errors of joints, and the record with them.   seen : motion.
+
     A trajectory fails if its measures are not finite, even if its state is: squares and energies
     overflow long before the state does.
     """
     system = system_of(plan)
-    seen = system.motion(body, state, time)
-    values = system.observed(body, seen, time)
-    if may_raise(plan):
-        record = with_exceptions(plan, record, k)
     now, joints = system.measured(body, state, seen, time, record.first_energy)
     sizes = {measure.name: measure.size(now[measure.name]) for measure in MEASURES}
     fine = are_finite(*(sizes[name] for name in MUST_BE_FINITE))
@@ -316,17 +340,14 @@ def observe(
         else:
             kept.append(old if is_zero(size) else where(alive, maximum(old, size), old))
     shown = tuple(measure.shown(now[measure.name]) for measure in history_measures(plan))
-    # A function of time alone has one value for the block; `where` extends it to all lanes.
-    values = tuple(where(alive, value, NAN) for value in values)
-    pairs = zip(record.observed, values, strict=True)
     errors = tuple(sqrt(square) for joint in joints for square in joint)
-    return (*shown, *values, *errors), record._replace(
+    measured = record._replace(
         kept=tuple(kept),
         status=status,
         failed_step=failed_step,
-        observed=tuple(with_value(old, value, share, alive, by_halves) for old, value in pairs),
         joints=_joints_kept(record, joints, alive),
     )
+    return shown, errors, measured
 
 
 def _joints_kept(

@@ -10,11 +10,16 @@ from lierb.kernels.numbers.arithmetic import prefetch, scatter, sqrt, where
 from lierb.kernels.numbers.dual import Dual, values
 from lierb.kernels.numbers.vec import Vec
 from lierb.kernels.systems.combine import NAN
-from lierb.kernels.systems.derivatives import differentiated, in_time, on_values
+from lierb.kernels.systems.derivatives import (
+    differentiated,
+    in_time,
+    on_values,
+    parts_side_by_side,
+)
 from lierb.kernels.systems.extra_states import with_states
 from lierb.kernels.systems.layout import POSE_AND_TWIST
 from lierb.kernels.systems.measures import KEPT, SUMMARY
-from lierb.kernels.systems.observables import columns_of
+from lierb.kernels.systems.observables import DIFFERENTIATED, columns_of, observables_of
 from lierb.kernels.systems.plan import AnyPlan
 from lierb.kernels.systems.signals import events_of, signals_width
 from lierb.kernels.systems.state import OK, State
@@ -193,9 +198,20 @@ def _store_parts(
     return len(parts)
 
 
-def store_summary(plan: AnyPlan, body: Any, record: Record, summary: Any, column: Any) -> None:
-    """Store a summary: retained measures, status, and step of a failure."""
-    r = record
+def store_summary(
+    plan: AnyPlan, body: Any, record: Record, summary: Any, slopes: Any, end: Any, column: Any
+) -> None:
+    """Store a summary: retained measures, status, and step of a failure.
+
+    slopes : receives the derivatives of `DIFFERENTIATED` of each observable, in the rows before
+        `end`.
+    """
+    if plan.moving and observables_of(plan):
+        of_observables = tuple(kept[: len(DIFFERENTIATED)] for kept in record.observed)
+        parts = parts_side_by_side(of_observables, plan.directions)
+        rows = range(-len(parts), 0)
+        scatter(slopes, 1, [(end + c, column) for c in rows], parts, plan.lanes)
+    r: Record = values(record)
     kept = [measure.shown(x) for (measure, _), x in zip(KEPT, r.kept, strict=True)]
     numbers = (*kept, r.status, r.failed_step, *exception_flags(plan, r))
     watched = (

@@ -11,6 +11,7 @@ from lierb.kernels.systems.plan import AnyPlan
 
 INF, NAN = float("inf"), float("nan")
 KEEPS = ("min", "max", "mean", "final")  # columns of a summary, for each observable
+DIFFERENTIATED = KEEPS[:3]  # those whose derivatives are numbers of `Kept`
 
 
 class Kept(NamedTuple):

@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from lierb.kernels.systems.observables import DIFFERENTIATED
 from lierb.results.columns import unit_of
 from lierb.results.sensitivities import SEPARATOR
 from lierb.studies.description.quantiles import (
@@ -90,8 +91,9 @@ def linear_theories(
 ) -> list[LinearTheory]:
     """Return the linear theory of all outputs, setting by setting; [] without `sensitivities`.
 
-    Outputs are the final values of observables and extra states, and the end time if events end
-    trajectories; of a study without any of these, the components of the twists at the end.
+    Outputs are the final value, minimum, maximum and mean of observables, final extra states, and
+    the end time if events end trajectories; of a study without any of these, the components of the
+    twists at the end.
     """
     study = dataset.study
     if not (study.integrate.sensitivities and study.design.drawn):
@@ -162,6 +164,8 @@ def _outputs(study: Study) -> Iterator[_Output]:
     ends = any(event.terminal for event in model.events)
     for each in model.observables:
         yield _Output(f"{each.name}_final", f"{each.name}_final", 0, each.name)
+        for column in (f"{each.name}_{of}" for of in DIFFERENTIATED):
+            yield _Output(column, column, 0, column)
     for name, shape, _ in model.signals:
         for i in range(prod(shape)):
             yield _Output(f"{name} {i + 1}" if shape else name, name, i, name, i, prod(shape))
