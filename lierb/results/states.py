@@ -334,7 +334,8 @@ class RunStates(States):
         adaptive steps continue too. The result is bit for bit that of one run in which a step ends
         here, as at every tick of a controller. `seed` and `trajectories` must be passed again.
         `integrate` raises ArgumentError if states or memory would be lost by a change of the run;
-        a problem that has neither goes on without them.
+        a problem that has neither goes on without them. With `with_respect_to` in both runs, the
+        derivatives of all these numbers continue.
 
         Raises
         ------

@@ -6,6 +6,7 @@ therefore carry the kernels' state, and a run that starts from these objects sta
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -30,7 +31,7 @@ class EndDerivatives(NamedTuple):
     """Derivatives of the state of the kernels at the end of a run.
 
     directions : those of each parameter, by name.
-    parts : [`state_columns`][direction][trajectory].
+    parts : [`end_columns`][direction][trajectory].
     """
 
     directions: dict[str, slice]
@@ -83,7 +84,18 @@ class Continuation:
         return counted(self.t0, dt)
 
     def state_of(self, plan: AnyPlan, dt: float) -> Array:
-        """Return `end_columns` of the new run's plan; NaN for columns that this end lacks.
+        """Return the state that a new run with this plan and step dt, s, continues from."""
+        return self._columns_of(plan, dt, self.state)
+
+    def parts_of(self, plan: AnyPlan, dt: float, names: Iterable[str]) -> Array:
+        """Return the derivatives of `state_of` by some parameters, [column][direction][body]."""
+        assert self.derivatives is not None
+        known, parts = self.derivatives
+        own = [parts[:, known[name]] for name in names]
+        return self._columns_of(plan, dt, np.concatenate(own, axis=1))
+
+    def _columns_of(self, plan: AnyPlan, dt: float, columns: Array) -> Array:
+        """Return `end_columns` of another plan from those of this one; NaN for those it lacks.
 
         What the method carries goes on with the same method and step dt, s, alone.
         """
@@ -94,13 +106,13 @@ class Continuation:
         goes_on = plan.method == self.plan.method and has_its_rows and dt == self._dt
         is_whole = known == own and (goes_on or not carried)
         if after.fields == before.fields and has_its_rows and is_whole:
-            return self.state
-        content = np.full((own + after.count, self.state.shape[1]), np.nan)
+            return columns
+        content = np.full((own + after.count, *columns.shape[1:]), np.nan)
         shared = own if goes_on else own - carried
-        content[:shared] = self.state[:shared]
+        content[:shared] = columns[:shared]
         for field, part in after:
             if field in before.fields and (has_its_rows or field.name != "dropped"):
-                content[own:][part] = self.state[known:][before[field.name]]
+                content[own:][part] = columns[known:][before[field.name]]
         return content
 
     @property

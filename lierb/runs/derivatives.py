@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lierb.errors import ArgumentError
-from lierb.kernels.loops.ends import end_columns, end_parts, state_columns
+from lierb.kernels.loops.ends import end_columns
 from lierb.kernels.mechanics.passive_elements import EVERY
-from lierb.kernels.systems.layout import FEW_DIRECTIONS, MANY_DIRECTIONS, Columns
+from lierb.kernels.systems.layout import END, FEW_DIRECTIONS, MANY_DIRECTIONS, Columns
 from lierb.kernels.systems.observables import DIFFERENTIATED, KEEPS
 from lierb.kernels.systems.plan import AnyPlan
 from lierb.kernels.systems.signals import events_of
@@ -48,7 +48,7 @@ class Derivatives(NamedTuple):
         [trajectory].
     events : at the events, [column][direction][event].   event_times : of their times, s,
         [direction][event].
-    state : of the state of the kernels at the end; None in looped code.
+    state : of the state of the kernels at the end.
     """
 
     parameters: tuple[Parameter, ...]
@@ -59,7 +59,7 @@ class Derivatives(NamedTuple):
     statistics: Array
     events: Array
     event_times: Array
-    state: EndDerivatives | None
+    state: EndDerivatives
 
     @property
     def rows(self) -> Array:
@@ -93,9 +93,10 @@ def require_differentiable(
 
 def derivative_bytes(ready: Ready, parameters: tuple[Parameter, ...]) -> int:
     """Return the bytes of a trajectory's derivatives in memory, at the saved times and the end."""
-    numbers, directions = derivatives_of(ready.plan).count, sum(p.size for p in parameters)
-    at_end = numbers + kept_derivatives(ready.plan)
-    return COPIES * 8 * directions * (numbers * ready.times.saved_rows + at_end)
+    plan, columns = ready.plan, derivatives_of(ready.plan).count
+    at_end = columns + kept_derivatives(plan) + len(end_columns(plan))
+    numbers = columns * ready.times.saved_rows + at_end
+    return COPIES * 8 * numbers * sum(p.size for p in parameters)
 
 
 def obstacles(ready: Ready) -> Iterator[str]:
@@ -113,16 +114,18 @@ def _unfit_end(ready: Ready, parameters: tuple[Parameter, ...]) -> Iterator[str]
     """Yield the reasons why a run does not go on with derivatives from the end of another."""
     if ready.before is None:
         return
+    before, known = "the run that ended in result.end", ready.before.derivatives
     anew = "begin with a copy of its poses, pose0=pose0.copy(), and apply the chain rule"
-    controllers = [f"{each.name}, a controller," for each in ready.model.controllers]
-    for what in controllers or ["looped code"] * ready.plan.is_in_memory:
-        yield f"{what} does not go on from result.end with derivatives; {anew}"
-    known = ready.before.derivatives
     if known is None:
-        yield f"the run that ended in result.end had none; give it the same parameters, or {anew}"
+        yield f"{before} had none; give it the same parameters, or {anew}"
         return
-    for name in {p.name for p in parameters} - known.directions.keys():
-        yield f"the run that ended in result.end has none by {name}; name it there too"
+    for p in parameters:
+        part = known.directions.get(p.name)
+        if part is None:
+            yield f"{before} has none by {p.name}; name it there too, or {anew}"
+        elif part.stop - part.start != p.size:
+            was = part.stop - part.start
+            yield f"{p.name} has {p.size} numbers, and had {was} in {before}; give it as many"
 
 
 def unfit_names(ready: Ready, parameters: tuple[Parameter, ...]) -> Iterator[str]:
@@ -168,7 +171,7 @@ def integrate_with_derivatives(
     with np.errstate(all="ignore"):  # of starts that violate their joints, which are refused later
         directions = all_directions(parameters, start)
     if ready.before is not None:
-        moving = (*(name for name in moving if name not in inputs.starts), "state")
+        moving = (*(n for n in moving if plan.is_in_memory or n not in inputs.starts), *END)
         directions = _going_on(ready, parameters, directions)
     abreast = _abreast(len(directions), plan.is_in_memory)
     differentiated = plan_with_derivatives(plan, moving, abreast)
@@ -193,13 +196,16 @@ def _going_on(
 ) -> list[dict[str, Array]]:
     """Return directions with the derivatives of the state that a run continues from."""
     assert ready.before is not None
-    assert ready.before.derivatives is not None
-    known, parts = ready.before.derivatives
-    columns = list(state_columns(ready.plan))[: len(parts)]  # methods carry numbers of their own
-    own = [k for p in parameters for k in range(known[p.name].start, known[p.name].stop)]
-    states = np.zeros((len(own), parts.shape[-1], ready.inputs.columns.field("state").width))
-    states[:, :, columns] = np.moveaxis(parts[: len(columns), own], 0, 2)
-    return [each | {"state": state} for each, state in zip(directions, states, strict=True)]
+    plan, columns = ready.plan, ready.inputs.columns
+    parts = ready.before.parts_of(plan, ready.options.timing.dt, (p.name for p in parameters))
+    behind = columns["state"].start
+    ends = np.zeros((*parts.shape[1:], columns.count - behind))
+    ends[:, :, end_columns(plan)] = np.moveaxis(parts, 0, 2)
+    own = {name: slice(columns[name].start - behind, columns[name].stop - behind) for name in END}
+    return [
+        each | {name: end[:, part] for name, part in own.items()}
+        for each, end in zip(directions, ends, strict=True)
+    ]
 
 
 def _abreast(directions: int, is_looped: bool) -> int:
@@ -290,11 +296,9 @@ def _together(
         is_fixed = _at_ticks(ready.model, at, which, rows[:, 2])
         slopes = of_events[0][in_time]
         events, event_times = _at_events(joined(of_events), slopes, first + which, is_fixed)
-    state = None
-    if end_parts(plan):
-        stored = len(end_columns(plan))
-        own = [each.ends[stored:].reshape(-1, plan.directions, n) for each in outputs]
-        state = EndDerivatives(slices_of(parameters), np.concatenate(own, axis=1)[:, :count])
+    stored = len(end_columns(plan))
+    own = [each.ends[stored:].reshape(stored, plan.directions, n) for each in outputs]
+    state = EndDerivatives(slices_of(parameters), np.concatenate(own, axis=1)[:, :count])
     return Derivatives(
         parameters, columns, tuple(of_rows), ends, times, statistics, events, event_times, state
     )

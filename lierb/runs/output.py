@@ -45,8 +45,8 @@ class Output:
     states : [link, time][trajectory][component]; only the state at the end if not recorded.
     multipliers : [time][trajectory][row of any joint].
     reactions : [joint, time][trajectory][component].
-    ends : the driver's state at the end, [`end_columns`][trajectory]; then, with derivatives, those
-        of `state_columns`, [column, direction][trajectory].
+    ends : the driver's state at the end, [`end_columns`][trajectory]; then, with derivatives,
+        theirs, [column, direction][trajectory].
     derivatives : [column, direction][time][trajectory], of `derivative_columns`.
     end_derivatives : at the end, [column, direction][trajectory]; then, for a model with events,
         those in time, [column][trajectory]; then those of DIFFERENTIATED of each observable,

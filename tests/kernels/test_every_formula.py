@@ -57,7 +57,7 @@ LOOPS = {  # code of Numba's, and what it works on
     "stepping.clock.time_of",
 }  # fmt: skip
 NO_NUMBERS = {  # abstract, or of other things
-    "loops.ends.lane_input",
+    "loops.ends.resumed_lane",
     "mechanics.axis_rows.AxisRow.moved",
     "mechanics.constraints.smooth_residuals",  # for systems.descriptor
     "mechanics.rows.Row.prescribed_slope",  # likewise

@@ -27,7 +27,7 @@ RESULTS = {
     ),
     "multipliers": "[time][trajectory][row of any joint]",
     "reactions": "[joint, time][trajectory][component]",
-    "ends": "[`end_columns`][trajectory]",
+    "ends": "[`end_columns`, then their column, direction][trajectory]",
     "derivatives": "[column, direction][time][trajectory], of `derivative_columns`",
     "end_derivatives": "[column, direction, then column][trajectory], those in time last",
 }

@@ -6,7 +6,7 @@ from itertools import islice
 from typing import Any, NamedTuple
 
 from lierb.kernels.functions.function import size_of
-from lierb.kernels.loops.ends import lane_input, resumed_record, state_columns
+from lierb.kernels.loops.ends import end_rows, lane_row, resumed_lane, resumed_record
 from lierb.kernels.loops.record import (
     Record,
     carried_columns,
@@ -50,11 +50,7 @@ from lierb.kernels.systems.derivatives import (
 from lierb.kernels.systems.extra_states import Control, with_initial_states, with_signals
 from lierb.kernels.systems.layout import LANE_END
 from lierb.kernels.systems.plan import AnyPlan
-from lierb.kernels.systems.signals import (
-    controllers_of,
-    lane_end,
-    outputs_of,
-)
+from lierb.kernels.systems.signals import controllers_of, outputs_of
 from lierb.kernels.systems.state import OK, State
 from lierb.kernels.systems.system_of import in_memory, system_of
 from lierb.kernels.tracing import calls
@@ -192,10 +188,7 @@ def _first_tick(start: Any, period: Any) -> Any:
 
 def resumed(plan: AnyPlan, body: Any, lanes: Lanes, limits: Tolerances, inputs: Any) -> Lanes:
     """Return the lanes with the final clock and controllers of the run before."""
-    columns = lane_end(plan)
-    first = lane_input(plan, body)
-    places = [(first + c, 0) for c in range(columns.count)]
-    before = columns.parts([load(inputs, place, plan.lanes) for place in places])
+    before = resumed_lane(plan, body, inputs)
     control = (
         tuple(where(y == y, y, x) for x, y in zip(mine, before[name], strict=True))
         for name, mine in lanes.control._asdict().items()
@@ -233,15 +226,12 @@ def store_lane_summary(plan: AnyPlan, lanes: Lanes, summary: Any, column: Any) -
 
 
 def store_lane_end(plan: AnyPlan, body: Any, lanes: Lanes, ends: Any) -> None:
-    """Store clock and controllers behind the state, for a run that continues."""
+    """Store clock and controllers behind the state and the rank, for a run that continues."""
     clock = lanes.clock._replace(ahead=lanes.clock.ahead + lanes.clock.steps)
     own = tuple(getattr(clock, field.name) for field in LANE_END.fields)
-    first: Any = len(state_columns(plan))
-    if plan.is_looped:
-        first = in_memory(plan).end_columns(body)
-    first = first + int(plan.keeps_rank)
-    for row, number in enumerate(flatten((own, values(lanes.control)))):
-        put_row(plan, ends, first + row, number)
+    first = lane_row(plan, body) + int(plan.keeps_rank)
+    for row, number in end_rows(plan, body, first, flatten((own, lanes.control))):
+        put_row(plan, ends, row, number)
 
 
 def as_ended(lanes: Lanes, span: Span, termination: Any) -> Record:

@@ -18,7 +18,7 @@ from lierb.kernels.numbers.arithmetic import alike, flatten
 from lierb.kernels.numbers.dual import Dual, parts_of, value_of, values
 from lierb.kernels.numbers.vec import Vec, mat_t_mat, mat_t_vec
 from lierb.kernels.numbers.zero import ZERO, is_zero
-from lierb.kernels.systems.layout import Columns, Field
+from lierb.kernels.systems.layout import END, Columns, Field
 from lierb.kernels.systems.observables import observables_of
 from lierb.kernels.systems.plan import AnyPlan
 from lierb.kernels.systems.signals import events_of, signals_width
@@ -49,17 +49,18 @@ def seeded(plan: AnyPlan, columns: Columns, numbers: list[Any]) -> list[Any]:
         return numbers
     own, seeds = numbers[: columns["seeds"].start], iter(numbers[columns["seeds"]])
     for field, part in columns:
-        moves = field.name in plan.moving and field.name != "state"
+        moves = field.name in plan.moving and field.name not in END
         for c in range(part.start, part.stop) if moves else ():
             own[c] = Dual(own[c], tuple(islice(seeds, plan.directions)))
     return own
 
 
-def seeds_of_state(plan: AnyPlan, columns: Columns) -> range:
-    """Return the columns of the seeds of a state to continue from, the last ones; may be empty."""
-    count = plan.directions * columns.field("state").width * ("state" in plan.moving)
-    last = columns["state"].start
-    return range(last - count, last)
+def seeds_of_end(plan: AnyPlan, columns: Columns, name: str) -> range:
+    """Return the columns of the seeds of one of END, the last seeds; empty if it does not move."""
+    if name not in plan.moving:
+        return range(0)
+    part, behind = columns[name], columns["state"].start
+    return range(*(behind - plan.directions * (columns.count - c) for c in (part.start, part.stop)))
 
 
 def completed(plan: AnyPlan, numbers: Any) -> Any:

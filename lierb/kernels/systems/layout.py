@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 
 from lierb.kernels.mechanics.elements import Element
 
+END = ("state", "lane")  # last fields of the inputs, from which a run continues
 POSE = (0, 1, 2, 4, 5, 6, 8, 9, 10, 3, 7, 11)  # of a 4×4 matrix: R, then r
 
 
@@ -117,26 +118,30 @@ LANE_END = Columns(
 @lru_cache(64)
 def inputs_of(
     elements: tuple[Element, ...],
-    numbers: int = STATE.count,
+    state: int = STATE.count,
+    lane: int = 0,
     moving: tuple[str, ...] = (),
     directions: int = 0,
 ) -> Columns:
-    """Return INPUTS, the elements' parameters, seeds, then the numbers of a state to resume from.
-
-    moving : fields with derivatives along some directions.
-    """
+    """Return INPUTS and the elements' parameters, then the columns of `with_end`."""
     parameters = (
         Field(f"{number}.{name}", shape)
         for number, element in enumerate(elements)
         for name, shape in element.shapes.items()
     )
-    own, state = (*INPUTS.fields, *parameters), Field("state", (numbers,))
-    return Columns(*own, *seeds_of((*own, state), moving, directions), state)
+    return with_end((*INPUTS.fields, *parameters), state, lane, moving, directions)
 
 
-def seeds_of(
-    fields: Sequence[Field], moving: tuple[str, ...], directions: int
-) -> tuple[Field, ...]:
-    """Return the field of the seeds, [number of a moving field][direction]; none if none moves."""
-    count = sum(field.width for field in fields if field.name in moving)
-    return (Field("seeds", (directions * count,)),) if moving else ()
+def with_end(
+    fields: Sequence[Field], state: int, lane: int, moving: tuple[str, ...], directions: int
+) -> Columns:
+    """Return the columns of fields, of their seeds, and of the end of a run to continue from.
+
+    state, lane : numbers of a state, and of `lierb.kernels.systems.signals.lane_end`.
+    moving : fields with derivatives along some directions. The seeds are these derivatives,
+        [number of a moving field][direction].
+    """
+    end = [Field(name, (count,)) for name, count in zip(END, (state, lane), strict=True)]
+    count = sum(field.width for field in (*fields, *end) if field.name in moving)
+    seeds = (Field("seeds", (directions * count,)),) if moving else ()
+    return Columns(*fields, *seeds, *end)

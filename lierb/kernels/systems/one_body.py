@@ -91,10 +91,8 @@ class OneBody(StateArithmetic):
     @cached_property
     def inputs(self) -> Columns:
         plan = self.plan
-        columns = inputs_of(plan.elements, self.state.count, plan.moving, plan.directions)
-        if not plan.has_lane_clocks:
-            return columns
-        return Columns(*columns.fields, Field("lane", (lane_end(plan).count,)))
+        lane = lane_end(plan).count
+        return inputs_of(plan.elements, self.state.count, lane, plan.moving, plan.directions)
 
     @cached_property
     def state(self) -> Columns:

@@ -53,6 +53,9 @@ def signals_width(plan: AnyPlan) -> int:
     return size_of(states_of(plan)) + size_of(outputs_of(plan))
 
 
+HELD = ("controls", "memory")  # fields of controllers that have derivatives
+
+
 @lru_cache(64)
 def controller_fields(plan: AnyPlan) -> tuple[Field, ...]:
     """Fields of controllers between ticks: outputs, memory, number of the next tick."""

@@ -9,7 +9,7 @@ if they are.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from lierb.kernels.mechanics import tree_nodes
@@ -188,15 +188,15 @@ class TreeLoop(LoopForces):
         self.take_next(body, 1.0 + 0.0 * values(body.mass))
         return with_states(body, moved), moved
 
-    def store_end(self, body: LoopBody, state: State, ends: Any, column: Any) -> None:
-        """Store the state for a run that continues: charts, V_rel, extra states."""
+    def store_end(self, body: LoopBody, state: State, put_at: Callable[..., None]) -> None:
+        """Store the state for a run that continues: charts, V_rel, extra states.
+
+        put_at : function of the first row of some numbers, and the numbers.
+        """
         tree = self._tree(body)
 
         def put(first: Index, numbers: Any) -> None:
-            some = [x for x in flatten(numbers) if not is_zero(x)]
-            if some:
-                places = [(first + c, column) for c in range(len(some))]
-                scatter(ends, 1, places, some, self.plan.lanes)
+            put_at(first, [x for x in flatten(numbers) if not is_zero(x)])
 
         def one(node: MemoryNode) -> None:
             chart, v, constants = node.chart, node.freedoms(at.V_ROW), node.constants
@@ -214,10 +214,6 @@ class TreeLoop(LoopForces):
     def end_columns(self, body: LoopBody) -> Index:
         """Number of a state's columns at the end of a run."""
         return self._tree(body)[at.END_COLUMNS]
-
-    def lane_column(self, body: LoopBody) -> Index:
-        """Column of the inputs with a lane's clock at the end of the run before."""
-        return self._tree(body)[at.LANE_COLUMN]
 
     def store_state(self, body: LoopBody, carried: Any, first: int, column: Any) -> None:
         """Store charts, velocities and JOINT_KEPT between two calls, from row `first` on."""

@@ -75,12 +75,14 @@ class LoopStart(TreeInMemory):
         """Numbers of some columns of the inputs, without derivatives."""
         return tuple(load(inputs, (first + i, 0), self.plan.lanes) for i in range(count))
 
-    def _given(self, tree: MemoryTree, inputs: Any, first: Index, count: int) -> Vec:
-        """Numbers of some columns of the inputs."""
+    def _given(
+        self, tree: MemoryTree, inputs: Any, first: Index, count: int, seeds_at: int = at.SEEDS
+    ) -> Vec:
+        """Numbers of some columns of the inputs.   seeds_at : END_SEEDS for those of an end."""
         directions, numbers = tree.parts, self._numbers(inputs, first, count)
         if not directions:
             return numbers
-        seeds = tree[at.SEEDS_COLUMN] + first * directions
+        seeds = tree[seeds_at] + first * directions
         parts = iter(self._numbers(inputs, seeds, count * directions))
         return tuple(Dual(x, tuple(islice(parts, directions))) for x in numbers)
 
@@ -232,10 +234,11 @@ class LoopStart(TreeInMemory):
     def resumed(self, body: LoopBody, inputs: Any) -> State:
         """Store a state to continue from, and return its `State`."""
         tree = self._tree(body)
+        given = partial(self._given, tree, inputs, seeds_at=at.END_SEEDS)
 
         def one(node: MemoryNode) -> None:
             chart, v = (
-                self._numbers(inputs, tree[name] + (node.i + -1) * width, width)
+                given(tree[name] + (node.i + -1) * width, width)
                 for name, width in ((at.CHART_COLUMN, 7), (at.V_COLUMN, 6))
             )
 
@@ -246,9 +249,13 @@ class LoopStart(TreeInMemory):
             node.each_kind(do)
 
         tree.for_nodes(one)
-        count = size_of(states_of(self.plan))
-        states = self._numbers(inputs, tree[at.STATES_COLUMN], count)
+        states = given(tree[at.STATES_COLUMN], size_of(states_of(self.plan)))
         return self._begun(body)._replace(states=states)
+
+    def resumed_lane(self, body: LoopBody, inputs: Any, count: int) -> Vec:
+        """Load the numbers of a lane at the end of the run before."""
+        tree = self._tree(body)
+        return self._given(tree, inputs, tree[at.LANE_COLUMN], count, at.END_SEEDS)
 
     def _begun(self, body: LoopBody) -> State:
         if not self.plan.has_lane_clocks:

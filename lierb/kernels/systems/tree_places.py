@@ -9,10 +9,12 @@ from __future__ import annotations
 from lierb.kernels.systems.measures import JOINT_ERRORS
 
 # Header: numbers of nodes (without the ground), freedoms, links, joints (loops included), roots and
-# rows with multipliers; columns of the inputs, and of their derivatives, [column][direction];
+# rows with multipliers; columns of the inputs; columns in which the derivatives of a column 0
+# would begin, [column][direction], before those of the inputs, and before those of an end;
 (
     NODES, FREEDOMS, LINKS, JOINTS, ROOTS, ROWS,
-    JOINT_COLUMN, GRAVITY_COLUMN, START_COLUMN, CHART_COLUMN, V_COLUMN, STATES_COLUMN, SEEDS_COLUMN,
+    JOINT_COLUMN, GRAVITY_COLUMN, START_COLUMN, CHART_COLUMN, V_COLUMN, STATES_COLUMN, SEEDS,
+    END_SEEDS,
     # the number of elements, and their place in the table; the place of those that are listed;
     ELEMENTS, ELEMENT_TABLE, LISTED_TABLE,
     # first rows of the nodes' constants; of the state: charts, velocities, joints' JOINT_KEPT;
@@ -32,7 +34,7 @@ from lierb.kernels.systems.measures import JOINT_ERRORS
     # X by which a projection moves.
     CONSTRAINT_ROWS, LEFT_ROW, WALK_ROW, SCHUR_ROW, LOWER_ROW, SCALED_ROW, VECTOR_ROWS, OFF_ROW,
     HEADER,
-) = range(55)  # fmt: skip
+) = range(56)  # fmt: skip
 # A node's numbers: its kind and that of its joint; its role, and the first node of its joint; its
 # parent; rows of its chart; its first freedom; rows of what it passes on, of what its children pass
 # on, and of what its next sibling passes on, or 0; its link, or that of the next node for a

@@ -12,7 +12,7 @@ from lierb.kernels.mechanics.spatial import twist_at
 from lierb.kernels.mechanics.tree import GROUND, HERE, MASSLESS, Ends, TreeConstants, root_of
 from lierb.kernels.numbers.vec import ZERO6, Vec, sub
 from lierb.kernels.systems.combine import NAN
-from lierb.kernels.systems.layout import Columns, Field, seeds_of
+from lierb.kernels.systems.layout import Columns, with_end
 from lierb.kernels.systems.signals import lane_end
 from lierb.kernels.systems.stabilisation import Projection
 from lierb.kernels.systems.state import State
@@ -55,14 +55,9 @@ class TreeFormulation(Projection, TreeMeasures):
     @cached_property
     def inputs(self) -> Columns:
         plan = self.plan
-        columns = inputs_of(plan.links, plan.loops, plan.elements)
-        state = Field("state", (self.state.count,))
-        return Columns(
-            *columns.fields,
-            *seeds_of((*columns.fields, state), plan.moving, plan.directions),
-            state,
-            Field("lane", (lane_end(plan).count,)),
-        )
+        fields = inputs_of(plan.links, plan.loops, plan.elements).fields
+        lane = lane_end(plan).count
+        return with_end(fields, self.state.count, lane, plan.moving, plan.directions)
 
     def body(self, numbers: list[Any]) -> TreeConstants:
         plan, read = self.plan, self.inputs.parts(numbers)

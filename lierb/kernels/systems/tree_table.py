@@ -31,7 +31,7 @@ from lierb.kernels.systems.connection_table import TRAVEL, constraints_of, eleme
 from lierb.kernels.systems.measures import JOINT_ERRORS, JOINT_KEPT
 from lierb.kernels.systems.plan import AnyPlan, MechanismPlan
 from lierb.kernels.systems.scheme import StagedScheme
-from lierb.kernels.systems.signals import states_of
+from lierb.kernels.systems.signals import lane_end, states_of
 from lierb.kernels.systems.tree_inputs import first_of_joint, inputs_of, state_columns
 
 
@@ -47,13 +47,15 @@ def table_of(plan: MechanismPlan) -> tuple[NDArray[np.int64], int]:
     header[[at.NODES, at.FREEDOMS, at.LINKS, at.JOINTS]] = numbers
     header[at.ROOTS] = sum(node.parent == GROUND for node in plan.tree)
     header[at.ROWS] = len(plan.rows)
-    seeded = inputs.count * (1 + plan.directions)  # columns of inputs and their derivatives
-    header[at.SEEDS_COLUMN] = inputs.count
     names = {at.JOINT_COLUMN: "0.ground_frame", at.GRAVITY_COLUMN: "gravity"}
     for column, name in (names | {at.START_COLUMN: "0.pose"}).items():
         header[column] = inputs[name].start
     extra = size_of(states_of(plan))
     state = state_columns(count, extra)
+    moving = inputs.count + (state.count + lane_end(plan).count) * ("state" in plan.moving)
+    seeds = plan.directions * moving
+    seeded = inputs.count + seeds  # columns of inputs and derivatives; those of an end are behind
+    header[[at.SEEDS, at.END_SEEDS]] = inputs.count, inputs.count - plan.directions * seeds
     header[[at.CHART_COLUMN, at.V_COLUMN, at.STATES_COLUMN]] = [
         seeded + state[name].start for name in ("charts", "v", "states")
     ]
