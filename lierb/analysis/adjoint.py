@@ -163,7 +163,8 @@ def gradient(
     check_progress(progress)
     keywords, threads = options_and_threads(options)
     chosen = None if with_respect_to is None else chosen_parameters(model, with_respect_to)
-    prepared = ready(model, Options.of(model, t0=t0, t_end=t_end, **keywords), pose0, twist0)
+    keywords |= {"t0": t0, "t_end": t_end, "statistics": False}
+    prepared = ready(model, Options.of(model, **keywords), pose0, twist0)
     parameters = tuple(_all(prepared)) if chosen is None else chosen
     reasons = (*obstacles(prepared), *unfit_names(prepared, parameters), *_obstacles(prepared))
     for obstacle in reasons:

@@ -33,7 +33,7 @@ class Runs(NamedTuple):
     threads: int | None
 
     def options(self, model: Any) -> Options:
-        return Options.of(model, **self.keywords)
+        return Options.of(model, **self.keywords, statistics=False)
 
     def result(
         self, varied: Varied, parameters: Iterable[str | Parameter] = (), has_tables: bool = True

@@ -37,7 +37,7 @@ class Sensitivities(NamedTuple):
     summary : pyarrow.Table
         Derivatives at the end of each trajectory, in the rows of `Result.summary`, and those of
         minimum, maximum and mean of each observable, by the names there. A maximum changes with the
-        value at the time of measurement that has it.
+        value at the time that has it.
     history : pyarrow.Table or None
         Derivatives at the saved times, in the rows of `Result.history`.
     events : pyarrow.Table or None

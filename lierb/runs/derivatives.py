@@ -33,6 +33,7 @@ from lierb.support.memory import require_memory
 from lierb.support.progress import Progress
 
 TICK = 8.0 * np.finfo(float).eps  # relative distance of a time from a tick, by rounding
+AT_END = 1e-9  # distance of an extreme at the end from the final value, relative to the range
 COPIES = 3  # of all derivatives in memory: of the runs, of all together, and of their tables
 
 
@@ -336,7 +337,8 @@ def _move_ends(
         strict=True,
     ):
         for statistic, extreme in enumerate((least, largest)):
-            own[statistic][:, at] = np.where(extreme == final, end, own[statistic][:, at])
+            is_end = np.abs(extreme - final) <= AT_END * (largest - least)
+            own[statistic][:, at] = np.where(is_end, end, own[statistic][:, at])
         own[2][:, at] += (final - mean) / np.where(lasted > 0.0, lasted, 1.0) * times[:, at]
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lierb.compiler.entries import entry_of
+from lierb.kernels.loops import lane_samples as samples
 from lierb.kernels.loops import workspace as ws
 from lierb.kernels.loops.event_search import watch
 from lierb.kernels.loops.job import UNSEEN, job_of, jobs_of
@@ -20,6 +21,7 @@ from lierb.kernels.stepping.lane_clock import Span
 from lierb.kernels.stepping.step_size import Tolerances
 from lierb.kernels.systems.layout import POSE_AND_TWIST
 from lierb.kernels.systems.measures import SUMMARY
+from lierb.kernels.systems.observables import observables_of
 from lierb.kernels.systems.signals import events_of, signals_width
 from lierb.kernels.tracing import calls
 from lierb.runs.driver import Run
@@ -182,6 +184,7 @@ class LaneRun(Run[LaneTime]):
             "shown": np.zeros((width - ws.EVENT_COLUMNS - self._derivatives, lanes)),
             "sides": np.zeros((watched, lanes)),
             "values": np.zeros((ws.SAMPLES + 2, watched, lanes)),
+            "samples": np.zeros((samples.ROWS, len(observables_of(plan)), lanes)),
             "dips": np.zeros((2, watched, lanes)),
             "roundings": np.zeros((watched, lanes)),
             "events": np.zeros((1 + room, width)),

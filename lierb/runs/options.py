@@ -51,6 +51,7 @@ class Options:
     check: str
     seed: int
     trajectories: ArrayLike | None
+    statistics: bool
 
     @classmethod
     def of(
@@ -65,10 +66,12 @@ class Options:
         stabilise: str | Stabilisation | None = None,
         seed: int = 0,
         trajectories: ArrayLike | None = None,
+        statistics: bool = True,
         **time: Any,
     ) -> Options:
         """Validate keywords of `lierb.integrate`. Raises its errors.
 
+        statistics : False for a run that needs no statistics of observables.
         time : keywords of `lierb.runs.time_options.timing_of`.
         """
         check_names(update=update, check=check, solver=solver)
@@ -83,7 +86,7 @@ class Options:
         )
         return cls(
             formulation, described_cspace(space), update, timing, recorded, check,
-            checked_seed(seed), trajectories,
+            checked_seed(seed), trajectories, statistics,
         )  # fmt: skip
 
     @property
@@ -95,7 +98,9 @@ class Options:
         """Return the fields of the plan that do not depend on the joints."""
         return {
             "update": self.update,
-            **self.timing.plan_fields(bool(model.events), model.has_jumps),
+            **self.timing.plan_fields(
+                bool(model.events), model.has_jumps, self.statistics and bool(model.observables)
+            ),
             "multipliers": "multipliers" in self.record,
             "reaction": "reaction" in self.record,
             "elements": model.kinds,

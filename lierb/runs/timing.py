@@ -59,18 +59,22 @@ class Timing:
     def saves(self) -> bool:
         return bool(self.save_every) or self.save_at is not None
 
-    def plan_fields(self, has_events: bool, has_jumps: bool) -> dict[str, Any]:
+    def plan_fields(
+        self, has_events: bool, has_jumps: bool, has_observables: bool
+    ) -> dict[str, Any]:
         """Return the fields of the plan that depend on time options.
 
         has_jumps : True if elements may jump at times that are their parameters.
         """
-        interpolates = has_events or self.saves
         if not self.is_of_lanes:
             return {"method": self.method.scheme(False, False)}
+        samples = has_observables and self.is_adaptive and self.method.is_continuous
+        interpolates = has_events or self.saves or samples
         return {
             "method": self.method.scheme(self.is_adaptive, interpolates),
             "clock": "lanes",
             "interpolates": interpolates,
+            "samples": samples,
             "jumps": has_jumps or self.discontinuities is not None,
         }
 

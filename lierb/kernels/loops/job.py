@@ -53,6 +53,7 @@ ARRAYS = {
     "shown": "[POSE_AND_TWIST of each link, extra states, outputs][lane]",
     "sides": "[event][lane], see `lierb.kernels.loops.event_search.Search`",
     "values": "[sample][event][lane]",
+    "samples": "[row, see `lierb.kernels.loops.lane_samples`][observable][lane]",
     "dips": "[θ, value][event][lane]",
     "roundings": "[event][lane]",
     "events": "[index][EVENT_COLUMNS, state and signals]; [0][0] is their count",

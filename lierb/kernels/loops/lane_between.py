@@ -8,12 +8,13 @@ from lierb.kernels.loops import workspace as ws
 from lierb.kernels.loops.lane_state import Lanes, put_row, put_rows, row_of
 from lierb.kernels.loops.lane_steps import Made, inside
 from lierb.kernels.loops.record import Record, observe, with_all_parts, without_measures
+from lierb.kernels.mechanics.passive_elements import UserEvent
 from lierb.kernels.numbers.arithmetic import absolute, all_lanes, any_lanes, load, store, where
 from lierb.kernels.numbers.dual import values
 from lierb.kernels.stepping.lane_clock import LaneClock, Trial, rounding_at
 from lierb.kernels.stepping.method import Interval
 from lierb.kernels.stepping.method_of import method_of
-from lierb.kernels.stepping.travel import parts_to_watch
+from lierb.kernels.stepping.travel import MOST_PARTS, parts_to_watch
 from lierb.kernels.systems.derivatives import on_values
 from lierb.kernels.systems.extra_states import Control, with_signals
 from lierb.kernels.systems.plan import AnyPlan
@@ -138,17 +139,17 @@ def parts_of(
     """Return the first part, which is open in every accepted step."""
     if not events_of(plan):
         return Part(accepted, accepted, accepted, accepted)  # never
-    count = parts_to_watch(plan, body, state, moved, trial)
-    return _part(0.0 * count, count, accepted)
+    count = parts_to_watch(plan, body, state, moved, trial, UserEvent, MOST_PARTS)
+    return part_of(0.0 * count, count, accepted)
 
 
 def next_part(part: Part, termination: Any) -> Part:
     """Return the next part, open where it exists and the trajectory has not ended."""
     is_open = (part.open > 0.5) & (part.is_last < 0.5) & (termination == 0.0)
-    return _part(part.index + 1.0, part.count, where(is_open, 1.0, 0.0 * termination))
+    return part_of(part.index + 1.0, part.count, where(is_open, 1.0, 0.0 * termination))
 
 
-def _part(index: Any, count: Any, is_open: Any) -> Part:
+def part_of(index: Any, count: Any, is_open: Any) -> Part:
     return Part(index, count, is_open, where(index + 1.0 >= count, 1.0, 0.0 * index))
 
 

@@ -253,7 +253,7 @@ def ticked(plan: AnyPlan, body: Any, lanes: Lanes, ticks: Any, rows: Any, seed: 
     record, clock = lanes.record, lanes.clock
     if watches:
         due = (ticks > 0.5) & (clock.t > clock.seen)
-        before = _observed(plan, body, lanes, 0.5 * (clock.t - clock.seen))
+        before = _observed(plan, body, lanes, _half(plan, clock))
         record = record._replace(observed=where(due, before, record.observed))
         clock = clock._replace(seen=where(due, clock.t, clock.seen))
     control = _controlled(plan, body, lanes._replace(clock=clock), ticks, rows, seed)
@@ -343,7 +343,7 @@ def with_measures(
     now = to_measure(clock, span, fresh, termination)
     mask = where(now | _is_due(clock, fresh), 1.0, 0.0 * fresh)
     flags = suppress_exceptions(plan, mask)
-    half = 0.5 * (clock.t - clock.seen)
+    half = _half(plan, clock)
     shown, seen = observe(
         plan, body, lanes.state, record, clock.steps, clock.t, half, by_halves=True
     )
@@ -353,6 +353,11 @@ def with_measures(
     clock = clock._replace(seen=where(now, clock.t, clock.seen))
     row = (*shown, *values((*lanes.state.states, *lanes.control.controls)))
     return row, lanes._replace(record=record, clock=clock)
+
+
+def _half(plan: AnyPlan, clock: LaneClock) -> Any:
+    """Return half the time since the last measurement, s; zero if its steps were sampled."""
+    return ZERO if plan.samples else 0.5 * (clock.t - clock.seen)
 
 
 def select_due(plan: AnyPlan, rows: Any, lanes: Lanes, fresh: Any) -> Any:

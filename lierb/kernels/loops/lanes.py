@@ -23,6 +23,7 @@ from lierb.kernels.loops import workspace as ws
 from lierb.kernels.loops.ends import resumed_state, store_end
 from lierb.kernels.loops.event_state import AT_THETA
 from lierb.kernels.loops.job import BODIES, RESUMED, TWISTS, UNSEEN
+from lierb.kernels.loops.lane_samples import take_samples, takes_samples
 from lierb.kernels.loops.lane_state import any_of, put_row, row_of, select
 from lierb.kernels.loops.record import load_body, load_given, with_exceptions, with_rank
 from lierb.kernels.loops.sharing import pack, take_share
@@ -218,6 +219,10 @@ def _look_between(
             copy_next(plan, body, inner.ends_between(plan, rows))
         else:
             lanes = _save_between(plan, body, inputs, counter, jobs, lanes, there)
+    if takes_samples(plan, accepted):
+        lanes = take_samples(
+            plan, seen, ranked, state, made.state, slopes, trial, accepted, lanes, own
+        )
     restore_next(plan, body, everywhere)
     lane_state.restore_exceptions(plan, flags, accepted)
     return moved, lanes, termination
@@ -292,7 +297,8 @@ def integrate_lanes(plan, inputs, counter, jobs):
             if any_of(failed):
                 lanes, termination = steps.with_failures(lanes, failed, termination)
             moved = made.state
-            if own.watched > 0 or inner.is_due_between(plan, lanes, accepted):
+            looks = own.watched > 0 or takes_samples(plan, accepted)
+            if looks or inner.is_due_between(plan, lanes, accepted):
                 moved, lanes, termination = _look_between(
                     plan, body, seen, inputs, counter, jobs, lanes, made, trial, accepted,
                     termination,

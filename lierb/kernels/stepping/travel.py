@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from lierb.kernels.mechanics.passive_elements import UserEvent
 from lierb.kernels.numbers.arithmetic import absolute, floor, maximum, minimum, where
 from lierb.kernels.numbers.zero import is_zero
 from lierb.kernels.stepping.step_size import EPS, INF, LEAST_ULPS
@@ -35,7 +36,7 @@ def longest_step(
     end = system.motion(body, moved, time, is_next=moved is not state)
     least = maximum(LEAST_OF_STEP * wanted, 4.0 * LEAST_ULPS * EPS * absolute(time))
     longest: Any = INF
-    for watched, parts in ((False, 1.0), (True, float(MOST_PARTS))):
+    for watched, parts in ((None, 1.0), (UserEvent, float(MOST_PARTS))):
         for rate, distance in system.travel(body, start, end, time, h, watched):
             if not is_zero(rate):
                 moves = rate > 0.0
@@ -44,14 +45,19 @@ def longest_step(
     return longest
 
 
-def parts_to_watch(plan: AnyPlan, body: Any, state: State, moved: State, trial: Any) -> Any:
-    """Return the number of equal parts of a step that are searched for events one by one."""
+def parts_to_watch(
+    plan: AnyPlan, body: Any, state: State, moved: State, trial: Any, watched: type, most: int
+) -> Any:
+    """Return the number of equal parts of a step that are searched one by one, at most `most`.
+
+    watched : class of the elements whose values are searched for.
+    """
     system = system_of(plan)
     start = system.motion(body, state, trial.start)
     end = system.motion(body, moved, trial.start, is_next=True)
     fastest: Any = 0.0 * trial.h
     for at in (start, end):
-        for rate, distance in system.travel(body, start, at, trial.start, trial.h, watched=True):
+        for rate, distance in system.travel(body, start, at, trial.start, trial.h, watched):
             if not is_zero(rate):
                 fastest = maximum(fastest, rate / distance)
-    return minimum(floor(trial.h * fastest) + 1.0, float(MOST_PARTS))
+    return minimum(floor(trial.h * fastest) + 1.0, float(most))

@@ -64,7 +64,7 @@ def with_value(kept: Kept, value: Any, share: Any, alive: Any, by_halves: bool =
     counted = value
     if by_halves:
         counted = where(kept.last == kept.last, value + kept.last, where(is_number, 0.0, value))
-    added = fma(share, counted, -kept.lost)
+    added = where(is_number, fma(share, counted, -kept.lost), value)
     total = kept.total + added
     lost = (total - kept.total) - added
     return Kept(

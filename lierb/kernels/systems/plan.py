@@ -31,6 +31,7 @@ class AnyPlan(Tag):
     elements : forces except gravity, constraints except the joints', and observables.
     clock : "steps", one clock for all lanes, or "lanes", a clock for each lane.
     interpolates : whether states between steps are needed, for output and events.
+    samples : whether observables are sampled within steps.
     jumps : whether elements may jump at given times, at which steps then end.
     moving : fields of the inputs that have derivatives (`lierb.kernels.systems.derivatives`).
     abreast : number of directions of these derivatives.
@@ -44,6 +45,7 @@ class AnyPlan(Tag):
     elements: tuple[Element, ...] = ()
     clock: str = "steps"
     interpolates: bool = False
+    samples: bool = False
     jumps: bool = False
     moving: tuple[str, ...] = ()
     abreast: int = FEW_DIRECTIONS

@@ -119,9 +119,9 @@ class PassiveElements:
     felt: Callable[..., Callable[[int], Vec]]  # `Motion.felt` by element index
 
     def travel(
-        self, body: Any, start: Any, end: Any, time: Any, h: Any, watched: bool
+        self, body: Any, start: Any, end: Any, time: Any, h: Any, watched: type | None
     ) -> tuple[Bound, ...]:
-        """Bounds on a step's length; if `watched`, on the length of parts searched for events.
+        """Bounds on a step's length; on that of its parts for elements of the class `watched`.
 
         start, end : motions at the ends of a step, of length h, s.
         """
@@ -131,7 +131,7 @@ class PassiveElements:
         return tuple(
             bound
             for i, (e, own) in pairs
-            if (isinstance(e, UserEvent) if watched else e.bounds_steps)
+            if (isinstance(e, watched) if watched else e.bounds_steps)
             for bound in e.travel(own, before(i), after(i), h, size)
         )
 

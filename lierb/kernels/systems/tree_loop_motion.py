@@ -10,7 +10,6 @@ from lierb.kernels.functions.signals import Signals
 from lierb.kernels.mechanics import tree_nodes
 from lierb.kernels.mechanics.kinks import Bound
 from lierb.kernels.mechanics.newton_euler import Motion
-from lierb.kernels.mechanics.passive_elements import UserEvent
 from lierb.kernels.mechanics.tree import HERE
 from lierb.kernels.mechanics.tree_connections import between, frame_on
 from lierb.kernels.mechanics.tree_nodes import Kind
@@ -112,7 +111,13 @@ class LoopMotions(LoopRows):
         return body.jumps
 
     def travel(
-        self, body: LoopBody, start: LoopMotion, end: LoopMotion, time: Any, h: Any, watched: bool
+        self,
+        body: LoopBody,
+        start: LoopMotion,
+        end: LoopMotion,
+        time: Any,
+        h: Any,
+        watched: type | None,
     ) -> tuple[Bound, ...]:
         """Bounds on a step's length; see `PassiveElements.travel`.
 
@@ -124,7 +129,7 @@ class LoopMotions(LoopRows):
         bounds = tuple(
             bound
             for i, e in enumerate(listed, first)
-            if (isinstance(e, UserEvent) if watched else e.bounds_steps)
+            if (isinstance(e, watched) if watched else e.bounds_steps)
             for bound in e.travel(body.elements[i], before(i), after(i), h, size)
         )
         if watched or not any(kind.element.bounds_steps for kind in self.plan.element_kinds):

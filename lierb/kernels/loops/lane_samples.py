@@ -1,0 +1,225 @@
+"""Samples of observables within adaptive steps, which may be long.
+
+Parts of a step, of the length of those in which events are searched, are sampled at the nodes of
+Gauss–Lobatto quadrature, for means and extremes. Where the quartic through the samples has a new
+extreme, the observable is evaluated once more.
+"""
+
+from __future__ import annotations
+
+from math import sqrt
+from typing import Any
+
+import numba
+
+from lierb.compiler.code import OPTIONS
+from lierb.compiler.loops import histories_at, numbers_at
+from lierb.kernels.loops import lane_between as inner
+from lierb.kernels.loops import workspace as ws
+from lierb.kernels.loops.lane_between import Part
+from lierb.kernels.loops.lane_state import Lanes, any_of, put_row, row_of
+from lierb.kernels.loops.states_in_memory import exchange
+from lierb.kernels.mechanics.passive_elements import UserObservable
+from lierb.kernels.numbers.arithmetic import (
+    absolute,
+    any_lanes,
+    branch,
+    load,
+    maximum,
+    minimum,
+    store,
+    where,
+)
+from lierb.kernels.numbers.dual import values
+from lierb.kernels.stepping.lane_clock import Trial
+from lierb.kernels.stepping.travel import parts_to_watch
+from lierb.kernels.systems.combine import NAN
+from lierb.kernels.systems.derivatives import completed, on_values
+from lierb.kernels.systems.extra_states import with_signals
+from lierb.kernels.systems.observables import with_value
+from lierb.kernels.systems.plan import AnyPlan
+from lierb.kernels.systems.state import OK, State
+from lierb.kernels.systems.system_of import system_of
+from lierb.kernels.tracing.trace import kernel
+
+MOST_PARTS = 4096  # largest number of parts of a step, which observables do not bound
+INNER = sqrt(3.0 / 7.0)
+NODES = (-1.0, -INNER, 0.0, INNER, 1.0)  # of Gauss–Lobatto quadrature
+WEIGHTS = (1 / 20, 49 / 180, 16 / 45, 49 / 180, 1 / 20)
+LAST = len(NODES) - 1
+# Rows of an observable's samples: those at the nodes, one at an extreme, the extremes so far.
+AT_EXTREME, LEAST, LARGEST, ROWS = range(len(NODES), len(NODES) + 4)
+NEWTON_STEPS, LONGEST = 6, 0.3  # of the search for the quartic's extreme, and its longest step
+OVERSHOOT = 0.4  # of a quartic beyond its values at the nodes, relative to their range: at most
+GAIN = 1e-9  # least gain for which an extreme is evaluated, relative to the range of the samples
+
+_part_of_loop = numba.njit(**OPTIONS, inline="always")  # compiled only as part of its caller
+
+
+@_part_of_loop
+def take_samples(plan, body, ranked, state, moved, slopes, trial, accepted, lanes, own):
+    """Sample all observables within a step; return the lanes with their statistics.
+
+    body, ranked : with the signals, then with the rank, at the start of the step.   lanes : at its
+    end, which may be an event.
+    """
+    samples, rows = histories_at(own.samples), numbers_at(own.rows)
+    part, turn = stretches(plan, body, state, moved, trial, accepted), 0
+    while True:
+        if turn == 0:
+            lanes = begun(plan, lanes, trial, part, samples)
+        elif turn <= LAST:
+            put_row(plan, rows, ws.THETA, node(part, NODES[turn]))
+        else:
+            extreme = turn - LAST - 1
+            if extreme == 2 * samples.shape[1]:
+                part, turn = next_stretch(part), 0
+                if not any_of(part.open):
+                    break
+                continue
+            sign = 1.0 if extreme % 2 else -1.0
+            known = LARGEST if extreme % 2 else LEAST
+            put_extreme(plan, samples, extreme // 2, sign, known, rows, part)
+            if not any_of(row_of(plan, rows, ws.SELECTED)):
+                turn += 1
+                continue
+        if turn > 0:
+            theta = in_trial(plan, rows, lanes, trial, part)
+            there = inner.state_between(plan, ranked, state, slopes, trial, theta)
+            row = min(turn, AT_EXTREME)
+            weight = WEIGHTS[turn] if turn <= LAST else 0.0
+            is_last = 1.0 if turn == LAST else 0.0
+            exchange(plan, body)
+            lanes = sampled(
+                plan, body, there, lanes, trial, theta, part, samples, row, weight, is_last
+            )
+            exchange(plan, body)
+        turn += 1
+    return lanes
+
+
+def takes_samples(plan: AnyPlan, accepted: Any) -> Any:
+    """Return whether a step of any lane is sampled."""
+    return any_lanes((accepted > 0.5) if plan.samples else (accepted < accepted))
+
+
+@on_values
+def stretches(
+    plan: AnyPlan, body: Any, state: State, moved: State, trial: Trial, accepted: Any
+) -> Part:
+    """Return the first part of a step, which is open in every accepted step."""
+    if not plan.samples:
+        return Part(accepted, accepted, accepted, accepted)  # never
+    count = parts_to_watch(plan, body, state, moved, trial, UserObservable, MOST_PARTS)
+    return inner.part_of(0.0 * count, count, accepted)
+
+
+def node(part: Part, at: Any) -> Any:
+    """Return θ of a point of the part.   at : the point, from −1 to 1."""
+    return 0.5 + 0.5 * at + 0.0 * part.open
+
+
+def in_trial(plan: AnyPlan, rows: Any, lanes: Lanes, trial: Trial, part: Part) -> Any:
+    """Return θ of the step for the row THETA of a part; the step ends at the lanes' time."""
+    length = where(trial.h > 0.0, trial.h, 1.0)
+    lasted = (lanes.clock.t - trial.start) / length
+    return inner.in_step(part, row_of(plan, rows, ws.THETA)) * lasted
+
+
+def next_stretch(part: Part) -> Part:
+    """Return the next part, open where it exists."""
+    return inner.next_part(part, 0.0 * part.open)
+
+
+def _stretch(lanes: Lanes, trial: Trial, part: Part) -> Any:
+    """Return the length of a part, s."""
+    return (lanes.clock.t - trial.start) / part.count
+
+
+def begun(plan: AnyPlan, lanes: Lanes, trial: Trial, part: Part, samples: Any) -> Lanes:
+    """Return the lanes with the weight of the start of a part, whose sample is known."""
+    if not plan.samples:
+        return lanes
+    share, is_open = WEIGHTS[0] * _stretch(lanes, trial, part), part.open > 0.5
+    observed = []
+    for i, old in enumerate(lanes.record.observed):
+        new = with_value(old, old.last, share, is_open)
+        for row, number in ((0, old.last), (LEAST, old.least), (LARGEST, old.largest)):
+            store(samples, (row, i, 0), values(number), plan.lanes)
+        observed.append(where(is_open, new, old))
+    return lanes._replace(record=lanes.record._replace(observed=tuple(observed)))
+
+
+def sampled(
+    plan: AnyPlan, body: Any, there: State, lanes: Lanes, trial: Trial, theta: Any, part: Part,
+    samples: Any, row: Any, weight: Any, is_last: Any,
+) -> Lanes:  # fmt: skip
+    """Return the lanes with a sample of each observable in their statistics.
+
+    there : the state at θ.   row : of the samples.   is_last : 1 at the end of the part.
+    """
+    if not plan.samples:
+        return lanes
+    record, time, system = lanes.record, inner.time_between(trial, theta), system_of(plan)
+    body = with_signals(plan, body, there, lanes.control)
+    seen = system.observed(body, system.motion(body, there, time), time)
+    share, is_open = weight * _stretch(lanes, trial, part), part.open > 0.5
+    observed, alive = [], record.status == OK
+    pairs = zip(record.observed, completed(plan, seen), strict=True)
+    for i, (old, value) in enumerate(pairs):
+        known = where(alive, value, NAN)
+        store(samples, (row, i, 0), values(known), plan.lanes)
+        new = with_value(old, known, share, alive)
+        new = new._replace(last=where(is_last > 0.5, new.last, old.last))
+        observed.append(where(is_open, new, old))
+    return lanes._replace(record=record._replace(observed=tuple(observed)))
+
+
+def put_extreme(
+    plan: AnyPlan, samples: Any, observable: Any, sign: Any, known: Any, rows: Any, part: Part
+) -> None:
+    """Store θ of the quartic's extreme, and select the lanes in which it is a new one.
+
+    sign : 1 for the largest value, −1 for the least.   known : row of the extreme so far.
+    """
+    if not plan.samples:
+        return
+    y = [sign * load(samples, (k, observable, 0), plan.lanes) for k in range(len(NODES))]
+    known = sign * load(samples, (known, observable, 0), plan.lanes)
+    at, largest, least = NODES[0] + 0.0 * y[0], y[0], y[0]
+    for u, value in zip(NODES[1:], y[1:], strict=True):
+        at = where(value > largest, u, at)
+        largest, least = maximum(largest, value), minimum(least, value)
+    reach = maximum(known, largest) + GAIN * (largest - least)
+    highest = largest + OVERSHOOT * (largest - least)
+    is_near = (highest > known) & (part.open > 0.5)
+    at, value = branch(any_lanes(is_near), lambda: _highest(_quartic(y), at), lambda: (at, known))
+    is_new = is_near & (value > reach) & (absolute(at) < 1.0)
+    put_row(plan, rows, ws.SELECTED, where(is_new, 1.0, 0.0 * at))
+    put_row(plan, rows, ws.THETA, where(is_new, node(part, at), 0.5))
+
+
+def _highest(p: tuple[Any, ...], at: Any) -> tuple[Any, Any]:
+    """Return the place of a polynomial's largest value from −1 to 1, near `at`, and the value."""
+    for _ in range(NEWTON_STEPS):
+        slope = p[1] + at * (2.0 * p[2] + at * (3.0 * p[3] + at * (4.0 * p[4])))
+        bend = 2.0 * p[2] + at * (6.0 * p[3] + at * (12.0 * p[4]))
+        step = where(bend < 0.0, -slope / where(bend < 0.0, bend, 1.0), slope * float("inf"))
+        step = maximum(minimum(step, LONGEST), -LONGEST)
+        at = maximum(minimum(at + step, 1.0), -1.0)
+    return at, p[0] + at * (p[1] + at * (p[2] + at * (p[3] + at * p[4])))
+
+
+def _quartic(y: list[Any]) -> tuple[Any, ...]:
+    """Return the coefficients of the polynomial through the samples at the nodes."""
+    s = INNER
+    even, even_inner = 0.5 * (y[4] + y[0]) - y[2], (0.5 * (y[3] + y[1]) - y[2]) / (s * s)
+    odd, odd_inner = 0.5 * (y[4] - y[0]), 0.5 * (y[3] - y[1]) / s
+    fourth, third = (even - even_inner) / (1.0 - s * s), (odd - odd_inner) / (1.0 - s * s)
+    return y[2], odd - third, even - fourth, third, fourth
+
+
+for _formula in (
+    takes_samples, stretches, node, in_trial, next_stretch, begun, sampled, put_extreme,
+):  # fmt: skip
+    kernel(_formula)
