@@ -548,14 +548,16 @@ def test_forces_that_switch_are_foreseen():
 
 
 def test_parts_are_smaller_for_derivatives(monkeypatch):
-    """Three copies in memory of 14 numbers by 10, at 101 saved times and the end."""
+    """Three copies in memory of 14 numbers by 10, at 101 saved times and the end, where a turn and
+    its rate are 3 more.
+    """
     many = tables(n=10**6) | {"output": {"part": 10**6}}
     study = Study.of(many)
-    assert bytes_of_derivatives(study) == 3 * 8 * 14 * 10
-    assert part_size(study) == int(HISTORY_BYTES / (3 * 8 * 14 * 10))
+    assert bytes_of_derivatives(study) == 3 * 8 * (14 + 3) * 10
+    assert part_size(study) == int(HISTORY_BYTES / (3 * 8 * (14 + 3) * 10))
     many["integrate"]["save_every"] = 1
     saved = Study.of(many)
-    assert bytes_of_derivatives(saved) == 102 * 3 * 8 * 14 * 10
+    assert bytes_of_derivatives(saved) == 3 * 8 * (102 * 14 + 3) * 10
     assert part_size(saved) < HISTORY_BYTES / bytes_of_derivatives(saved)
     many["integrate"]["sensitivities"] = []
     assert bytes_of_derivatives(Study.of(many)) == 0

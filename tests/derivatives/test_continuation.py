@@ -277,15 +277,15 @@ def test_loops_go_on_in_looped_code(options):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("solver", ["looped", "unrolled"])
-def test_states_and_controllers_of_a_mechanism_go_on(solver):
+@pytest.mark.filterwarnings("ignore::lierb.errors.DerivativeWarning")  # of stops with dampers
+def test_states_and_controllers_go_on_in_looped_code():
     """Four trajectories, with stops, from ends between ticks, of four packs of directions."""
     model = made(events=[])
     names = (
         "link1.grows.spent", "link2.holds.last", "link1.grows.rate", "link1.omega0",
         "link0.joint_limit.stiffness", "gravity",
     )  # fmt: skip
-    options = {"dt": 0.01, "solver": solver}
+    options = {"dt": 0.01, "solver": "looped"}
     (whole,) = in_pieces(model, start_of(model), [0.4], names, **options)
     *_, last = in_pieces(model, start_of(model), [0.13, 0.31, 0.4], names, **options)
     require_equal(whole, last, ("link2.twist", "spent", "where", "pull"), names)
@@ -306,6 +306,7 @@ def test_one_kind_of_code_goes_on_from_the_other(solvers):
     for more in ({}, {"save_at": [0.3]}):
         last = lierb.integrate(model, **half.end, t_end=0.3, solver=second, **options, **more)
         for name in names:
-            found, right = (x.sensitivity("lower.twist", name)[-1] for x in (last, whole))
+            right = whole.sensitivity("lower.twist", name)
+            found = last.sensitivity("lower.twist", name).reshape(right.shape)
             # the rounding of 300 steps in each of two ways
             np.testing.assert_allclose(found, right, rtol=1e-13, atol=1e-13)
