@@ -127,6 +127,40 @@ def test_observables_summary_is_over_measured_times():
             np.testing.assert_allclose(found, mean, rtol=1e-14, atol=1e-15)
 
 
+@lierb.observable
+def sine(R):
+    return R[1, 0]
+
+
+@lierb.observable
+def ripple(R):
+    return R[0, 0] * R[0, 0] * R[1, 0]
+
+
+@pytest.mark.slow
+def test_adaptive_steps_are_sampled_within():
+    """A ball that spins freely makes steps of many turns, which are exact."""
+    rates = np.array((0.05, 1.0, 7.3, -60.0))
+    ball = lierb.Problem(lierb.bodies.sphere(0.1, mass=1.0), lierb.joints.free())
+    start = {"twist0": np.outer(rates, (0, 0, 1, 0, 0, 0)), "rtol": 1e-9, "t_end": 20.0}
+    plain = lierb.integrate(ball, **start).summary
+    seen = lierb.integrate(own(ball, sine(), ripple()), **start).summary
+    assert column(plain, "steps").max() < 30
+    for name in set(plain.column_names):  # no bit of other columns
+        assert plain[name].equals(seen[name])
+    angles = np.abs(rates) * 20.0
+    means = {"sine": (1.0 - np.cos(angles)) / angles * np.sign(rates)}
+    means["ripple"] = (1.0 - np.cos(angles) ** 3) / (3.0 * angles) * np.sign(rates)
+    highest = {"sine": np.sin(np.minimum(angles, np.pi / 2)), "ripple": np.full(4, 2 / 27**0.5)}
+    for name in ("sine", "ripple"):
+        # five points in a quarter turn: quadrature of cubes of sines, and quartics
+        np.testing.assert_allclose(column(seen, f"{name}_mean"), means[name], atol=1e-8)
+        largest, least = column(seen, f"{name}_max"), column(seen, f"{name}_min")
+        extreme = np.where(rates > 0.0, largest, -least)
+        np.testing.assert_allclose(extreme, highest[name], atol=1e-8)
+        assert (np.abs((largest, least)) <= highest[name] + 1e-12).all()  # rounding of rotations
+
+
 def test_observables_mean_keeps_what_rounding_takes():
     problem, twist = tilted("spherical")
     given = {"twist0": twist, **SAVED, "measure_every": 1, "t_end": 20.0, "save_every": 20_000}

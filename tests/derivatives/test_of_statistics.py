@@ -82,12 +82,18 @@ def test_extremes_and_means_change_with_the_time_of_a_terminal_event():
     )  # fmt: skip
     root = np.sqrt(speeds**2 + 2.0 * G * HIGH)
     times, by_speed = (speeds + root) / G, (1.0 + speeds / root) / G
+    means = HIGH + 0.5 * speeds * times - G * times**2 / 6.0
     mean_rate = 0.5 * (times + speeds * by_speed) - G * times * by_speed / 3.0
     expected = {
         "height_min": 0.0 * speeds, "height_max": speeds / G, "height_mean": mean_rate,
         "falling_max": speeds / root, "falling_min": np.full(3, -1.0),
         "falling_mean": HIGH / times**2 * -by_speed,
     }  # fmt: skip
+    for name, exact in (
+        ("height_min", 0.0), ("height_max", HIGH + 0.5 * speeds**2 / G), ("height_mean", means),
+        ("falling_max", root), ("falling_min", -speeds), ("falling_mean", HIGH / times),
+    ):  # fmt: skip
+        np.testing.assert_allclose(result.summary[name].to_numpy(), exact, atol=1e-12)
     for name, exact in expected.items():
         found = result.sensitivity(name, "twist0")[:, 5]
         np.testing.assert_allclose(found, exact, atol=1e-12)  # parabolas are exact

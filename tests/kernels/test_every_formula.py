@@ -134,6 +134,7 @@ OF_CLOCKS = (
     "stepping.lane_clock.",
     "loops.lanes.",
     "loops.lane_between.",
+    "loops.lane_samples.",
     "loops.lane_state.",
     "loops.lane_steps.",
     "stepping.step_size.",
@@ -160,8 +161,10 @@ OF_SOLVERS = (
 OF_DERIVATIVES = (
     "loops.adjoint.",
     "loops.record.load_",
+    "loops.record.observe",
     "loops.record.store_carried",
     "loops.tables.store_state",
+    "loops.tables.store_summary",
     "loops.tables.user_state",
     "mechanics.user_frames.moving",
     "mechanics.user_frames.second",

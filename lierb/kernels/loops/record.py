@@ -302,7 +302,7 @@ def observe(
     watched = completed(plan, system_of(plan).observed(body, seen, time))
     if may_raise(plan):
         record = with_exceptions(plan, record, k)
-    shown, errors, measured = _measured(plan, body, state, record, k, time, seen)
+    shown, errors, measured = measure(plan, body, state, record, k, time, seen)
     alive = measured.status == OK
     # A function of time alone has one value for the block; `where` extends it to all lanes.
     watched = tuple(where(alive, value, NAN) for value in watched)
@@ -312,7 +312,7 @@ def observe(
 
 
 @on_values
-def _measured(
+def measure(
     plan: AnyPlan, body: Any, state: State, record: Record, k: Any, time: Any, seen: Any
 ) -> tuple[tuple[Any, ...], tuple[Any, ...], Record]:
     """Return the measures, the errors of joints, and the record with them.   seen : motion.
