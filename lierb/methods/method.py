@@ -67,11 +67,6 @@ class Method(ABC):
         """Return the ratio of the tolerance to the largest estimated error of a step."""
         return 1.0
 
-    @property
-    def is_continuous(self) -> bool:
-        """Return True for a method with a continuous extension."""
-        return False
-
     @abstractmethod
     def amplification(self, z: Any) -> Any:
         """Return the factor by which a step changes a mode e^(λt).   z : hλ, complex array."""
@@ -97,11 +92,6 @@ class StagedMethod(Method):
     @property
     def stages(self) -> int:
         return len(self.b)
-
-    @property
-    def is_continuous(self) -> bool:
-        """Return True for a method with a continuous extension."""
-        return self.dense is not None
 
     @property
     def evaluations(self) -> float:

@@ -68,7 +68,7 @@ class Timing:
         """
         if not self.is_of_lanes:
             return {"method": self.method.scheme(False, False)}
-        samples = has_observables and self.is_adaptive and self.method.is_continuous
+        samples = has_observables and self.is_adaptive
         interpolates = has_events or self.saves or samples
         return {
             "method": self.method.scheme(self.is_adaptive, interpolates),
