@@ -136,6 +136,7 @@ OF_CLOCKS = (
     "loops.lane_between.",
     "loops.lane_state.",
     "loops.lane_steps.",
+    "loops.ticks.",
     "stepping.step_size.",
     "stepping.travel.",
 )
@@ -159,6 +160,8 @@ OF_SOLVERS = (
 # against complex steps and closed forms.
 OF_DERIVATIVES = (
     "loops.adjoint.",
+    "loops.gains.",
+    "loops.remade_steps.",
     "loops.record.load_",
     "loops.record.store_carried",
     "loops.tables.store_state",
