@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from lierb.analysis.varied_runs import options_and_threads
 from lierb.api import checked_model, report_start, start_check
 from lierb.errors import ArgumentError, FailedTrajectoryWarning, unknown_name
-from lierb.kernels.loops.adjoint import END_TIME
+from lierb.kernels.loops.gains import END_TIME
 from lierb.kernels.systems.system_of import plan_with_derivatives
 from lierb.model.base import Model
 from lierb.model.connections import NOWHERE
@@ -120,8 +120,8 @@ def gradient(
     Raises
     ------
     LierbError
-        An argument is wrong, or the run has no adjoint: it has controllers, its code is looped, or
-        a function runs body by body.
+        An argument is wrong, or the run has no adjoint: its code is looped, or a function runs
+        body by body.
     MemoryLimitError
         Gradients are larger than the free memory.
 
@@ -136,8 +136,8 @@ def gradient(
     -----
     The run is made once, with its steps; then all steps are differentiated backwards, each by the
     transposed Jacobian. Adaptive steps keep their lengths, which have no derivatives; the time of a
-    terminal event has. Directions of a start are projected onto the motions that the joints admit,
-    as in `integrate`.
+    terminal event has. Controllers keep the times of their ticks, and noise is constant. Directions
+    of a start are projected onto the motions that the joints admit, as in `integrate`.
 
     References
     ----------
@@ -209,7 +209,7 @@ def _all(prepared: Ready) -> Iterator[Parameter]:
 
 
 def _number(model: Model, of: Any) -> int:
-    """Return the number of an objective; see `lierb.kernels.loops.adjoint.Adjoint`."""
+    """Return the number of an objective; see `lierb.kernels.loops.gains.Adjoint`."""
     names = [ENERGY, *(each.name for each in model.observables)]
     ends = ["t"] if any(event.terminal for event in model.events) else []
     if not (isinstance(of, str) and of in (*names, *ends)):
@@ -219,19 +219,13 @@ def _number(model: Model, of: Any) -> int:
 
 def _obstacles(prepared: Ready) -> Iterator[str]:
     """Yield the reasons why a run has no adjoint, beside those for derivatives."""
-    model, plan = prepared.model, prepared.plan
     if prepared.before is not None:
         yield (
             "the start is the end of another run, from which an adjoint does not go back; begin "
             "with a copy of its poses, pose0=pose0.copy()"
         )
-    if plan.is_in_memory:
+    if prepared.plan.is_in_memory:
         yield 'looped code has no adjoint; take solver="unrolled", or integrate(with_respect_to=…)'
-    if model.controllers:
-        yield (
-            f"{model.controllers[0].name} is a controller, which an adjoint does not go through; "
-            "take integrate(with_respect_to=…)"
-        )
 
 
 def _part(parameter: Parameter, prepared: Ready, start: Any, gains: Array) -> Array:

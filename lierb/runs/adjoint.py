@@ -11,15 +11,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lierb.kernels.loops.adjoint import Adjoint, begun, differentiate_blocks, marked, marks, moving
+from lierb.kernels.loops.adjoint import differentiate_blocks
+from lierb.kernels.loops.gains import Adjoint, marked, marks, moving
 from lierb.kernels.loops.job import BODIES, job_of, jobs_of
+from lierb.kernels.loops.remade_steps import begun
 from lierb.kernels.numbers.tape import Tape
 from lierb.kernels.stepping.clock import StepClock, time_of
 from lierb.kernels.stepping.method import Interval
 from lierb.kernels.systems.state import EVENT, OK
 from lierb.kernels.systems.system_of import system_of
 from lierb.runs import engine
-from lierb.runs.derivatives import ending_events
+from lierb.runs.derivatives import at_ticks, ending_events
 from lierb.runs.driver import Run, aligned
 from lierb.runs.lane_engine import LaneTime
 from lierb.runs.output import Output
@@ -41,7 +43,7 @@ class AdjointRun(Run[Any]):
 
     number : of the objective, see `Adjoint`.
     step_times : ends of the steps, [step][trajectory or 1], s; row 0 has the start.
-    ended_by : indices of terminal events, −1 for none, [1][trajectory].
+    ended_by : see `lierb.kernels.loops.remade_steps.Noted`.
     """
 
     number: int
@@ -67,7 +69,8 @@ class AdjointRun(Run[Any]):
         while first < count:
             stop = min(first + size, count)
             numbers = {
-                "dt": times.dt if isinstance(times, StepClock) else 0.0, "end": times.end,
+                "dt": times.dt if isinstance(times, StepClock) else 0.0,
+                "seed": times.seed if isinstance(times, LaneTime) else 0.0,
                 "steps": self.steps, "kept_every": self.every, "differ": BODIES,
                 "first_row": self.rows[0], "state_rows": self.rows[1],
                 "first": first, "stop": stop,
@@ -98,23 +101,27 @@ class AdjointRun(Run[Any]):
         with np.errstate(all="ignore"):
             of_inputs = marked(system_of(self.plan).body(tape.opened(given)))
             at = Interval(given[0], given[0], given[0])
-            state = begun(self.tag.plain, system.body(given), given, at)
-        numbers = len(moving(state))
+            held = begun(self.tag.plain, system.body(given), given, at, given[0])
+        numbers = len(moving(held))
         return self.tag.inputs + marks(of_inputs) + numbers, numbers
 
     @cached_property
     def memories(self) -> list[dict[str, NDArray[Any]]]:
         """Return the memory of each thread."""
         gains, state = self.rows
-        rows = gains + state * (-(-self.steps // self.every) + self.every)
+        rows = gains + state * (self.steps // self.every + 1 + self.every)
         size = 8 * rows * self.plan.lanes * self.threads
         require_memory(size, "the states of all steps", "lower threads= or take fewer steps")
         return [{"memory": aligned(rows, self.plan.lanes)} for _ in range(self.threads)]
 
     @cached_property
     def arrays(self) -> dict[str, NDArray[Any]]:
+        noise = np.zeros((1, self.step_times.shape[1]))  # full blocks
+        if isinstance(self.times, LaneTime):
+            noise[0, : self.inputs.count] = self.times.numbers
         return super().arrays | {
             "step_times": self.step_times, "ended_by": self.ended_by, "gains": self.gains,
+            "noise_indices": noise,
         }  # fmt: skip
 
 
@@ -178,8 +185,14 @@ def _noted(
     ends[after] = np.broadcast_to(last, ends.shape)[after]
     failed = (output.status != OK) & (output.status != EVENT)
     ends[:, :count][:, failed] = np.nan
-    ended_by = np.full((1, width), -1.0)
-    if output.events is not None:
-        for trajectory, event in ending_events(ready, output):
-            ended_by[0, trajectory] = event
-    return ends, ended_by
+    return ends, _ended_by(ready, output, steps)
+
+
+def _ended_by(ready: Ready, output: Output, steps: NDArray[np.int64]) -> Array:
+    """Return `ended_by` of `AdjointRun`.   steps : of each trajectory."""
+    ended_by = np.stack([np.full(len(steps), -1.0), np.full(len(steps), np.inf)])
+    if ready.model.events:
+        at, which = np.array([*ending_events(ready, output)], dtype=int).reshape(-1, 2).T
+        is_fixed = at_ticks(ready.model, at, which, output.t[at])
+        ended_by[:, at] = np.where(is_fixed, -1, which), steps[at]
+    return ended_by

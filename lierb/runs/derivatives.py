@@ -287,14 +287,14 @@ def _together(
         at, which = pairs.T
         in_time = slice(whole, whole + columns.count)
         slopes = outputs[0].end_derivatives[in_time, at]
-        is_fixed = _at_ticks(ready.model, at, which, outputs[0].t[at])
+        is_fixed = at_ticks(ready.model, at, which, outputs[0].t[at])
         found = _at_events(ends[:, :, at], slopes, first + which, is_fixed)
         ends[:, :, at], times[:, at] = found
         _move_ends(statistics, outputs[0], ends[columns["observables"]], times, at)
         rows: Any = outputs[0].events
         of_events: list[Any] = [each.event_derivatives for each in outputs]
         at, which = rows[:, :2].astype(int).T
-        is_fixed = _at_ticks(ready.model, at, which, rows[:, 2])
+        is_fixed = at_ticks(ready.model, at, which, rows[:, 2])
         slopes = of_events[0][in_time]
         events, event_times = _at_events(joined(of_events), slopes, first + which, is_fixed)
     stored = len(end_columns(plan))
@@ -361,7 +361,7 @@ def _at_events(
         return derivatives + in_time[:, None] * times, times
 
 
-def _at_ticks(
+def at_ticks(
     model: Model, trajectories: NDArray[np.int64], events: NDArray[np.int64], times: Array
 ) -> NDArray[np.bool_]:
     """Return whether events read outputs of controllers, and are at ticks, where these jump."""

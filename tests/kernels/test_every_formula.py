@@ -137,6 +137,7 @@ OF_CLOCKS = (
     "loops.lane_samples.",
     "loops.lane_state.",
     "loops.lane_steps.",
+    "loops.ticks.",
     "stepping.step_size.",
     "stepping.travel.",
 )
@@ -160,6 +161,8 @@ OF_SOLVERS = (
 # against complex steps and closed forms.
 OF_DERIVATIVES = (
     "loops.adjoint.",
+    "loops.gains.",
+    "loops.remade_steps.",
     "loops.record.load_",
     "loops.record.observe",
     "loops.record.store_carried",

@@ -38,7 +38,7 @@ ARRAYS = {
     "table": "int64, [1][`lierb.kernels.systems.tree_table`], for a looped plan",
     "memory": "[row][lane] of a thread, for a looped plan or `lierb.kernels.loops.adjoint`",
     "step_times": "[step and end][trajectory or 1], s, of steps that are made again",
-    "ended_by": "[1][trajectory], index of its terminal event; −1 without",
+    "ended_by": "[which][trajectory], see `lierb.kernels.loops.remade_steps.Noted`",
     "gains": "[column of inputs, then the objective][trajectory]",
     "carried": "[column][trajectory of the chunk, padded to full blocks], between two calls",
     **RESULTS,

@@ -5,7 +5,6 @@ from __future__ import annotations
 from itertools import islice
 from typing import Any, NamedTuple
 
-from lierb.kernels.functions.function import size_of
 from lierb.kernels.loops.ends import end_rows, lane_row, resumed_lane, resumed_record
 from lierb.kernels.loops.record import (
     Record,
@@ -18,26 +17,21 @@ from lierb.kernels.loops.record import (
     with_all_parts,
 )
 from lierb.kernels.loops.tables import user_state
+from lierb.kernels.loops.ticks import first_control
 from lierb.kernels.loops.workspace import DUE, NOISE_INDEX
 from lierb.kernels.numbers.arithmetic import (
-    absolute,
     any_lanes,
     flatten,
-    floor,
     load,
-    plain,
-    rint,
     store,
     where,
 )
 from lierb.kernels.numbers.dual import values
-from lierb.kernels.numbers.vec import Vec
 from lierb.kernels.stepping.lane_clock import (
     LaneClock,
     Span,
     continued,
     first_clock,
-    rounding_at,
 )
 from lierb.kernels.stepping.step_size import Tolerances
 from lierb.kernels.systems.combine import NAN
@@ -50,7 +44,6 @@ from lierb.kernels.systems.derivatives import (
 from lierb.kernels.systems.extra_states import Control, with_initial_states, with_signals
 from lierb.kernels.systems.layout import LANE_END
 from lierb.kernels.systems.plan import AnyPlan
-from lierb.kernels.systems.signals import controllers_of, outputs_of
 from lierb.kernels.systems.state import OK, State
 from lierb.kernels.systems.system_of import in_memory, system_of
 from lierb.kernels.tracing import calls
@@ -161,29 +154,12 @@ def started(
     """Return the lanes before the first tick."""
     due = row_of(plan, rows, DUE)
     zero = 0.0 * row_of(plan, rows, NOISE_INDEX)
-    system, periods = system_of(plan), periods_of(plan, body)
-    control = Control(
-        completed(plan, (zero,) * size_of(outputs_of(plan))),
-        completed(plan, tuple(zero + x for x in system.initial_memory(body))) if periods else (),
-        tuple(zero + _first_tick(span.start, period) for period in periods),
-    )
+    control = first_control(plan, body, span.start, zero)
+    control = completed(plan, control)._replace(ticks=control.ticks)
     whole, body, state = state, values(body), values(state)
     body = with_signals(plan, body, state, values(control))
     clock = first_clock(plan, body, state, span, limits, zero)._replace(due=due)
     return Lanes(whole, initial_record(plan, body, state), clock, control)
-
-
-def periods_of(plan: AnyPlan, body: Any) -> Vec:
-    """Return the controllers' periods, s."""
-    return values(system_of(plan).periods(body)) if controllers_of(plan) else ()
-
-
-def _first_tick(start: Any, period: Any) -> Any:
-    """Return the number of the first tick that is not before the start."""
-    count = plain(start) / period
-    whole = rint(count)
-    is_whole = absolute(count - whole) <= rounding_at(count)
-    return where(is_whole, whole, floor(count) + 1.0)
 
 
 def resumed(plan: AnyPlan, body: Any, lanes: Lanes, limits: Tolerances, inputs: Any) -> Lanes:

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-from lierb.kernels.functions.signals import Noise
 from lierb.kernels.loops.advance import tidy
 from lierb.kernels.loops.lane_state import (
     Lanes,
-    periods_of,
     put_row,
     restore_exceptions,
     row_of,
@@ -26,6 +24,7 @@ from lierb.kernels.loops.states_in_memory import (
     keep_errors,
     take_next,
 )
+from lierb.kernels.loops.ticks import controlled, is_any_due, periods_of
 from lierb.kernels.loops.workspace import DUE, NOISE_INDEX, SELECTED
 from lierb.kernels.numbers.arithmetic import (
     absolute,
@@ -34,11 +33,9 @@ from lierb.kernels.numbers.arithmetic import (
     fma,
     maximum,
     minimum,
-    plain,
     where,
 )
 from lierb.kernels.numbers.dual import values
-from lierb.kernels.numbers.vec import Vec
 from lierb.kernels.numbers.zero import ZERO, is_zero
 from lierb.kernels.stepping.lane_clock import (
     LaneClock,
@@ -61,10 +58,10 @@ from lierb.kernels.stepping.step_size import (
 from lierb.kernels.stepping.travel import longest_step
 from lierb.kernels.systems.combine import NAN
 from lierb.kernels.systems.derivatives import completed
-from lierb.kernels.systems.extra_states import Control, with_signals
+from lierb.kernels.systems.extra_states import with_signals
 from lierb.kernels.systems.observables import Kept, observables_of, with_value
 from lierb.kernels.systems.plan import AnyPlan
-from lierb.kernels.systems.signals import controllers_of, memory_slices, output_slices
+from lierb.kernels.systems.signals import controllers_of
 from lierb.kernels.systems.state import MAX_STEPS, OK, State
 from lierb.kernels.systems.system_of import system_of
 from lierb.kernels.tracing.trace import kernel
@@ -233,18 +230,12 @@ def moved_to(lanes: Lanes, state: State, mask: Any) -> Lanes:
 
 def to_tick(plan: AnyPlan, body: Any, lanes: Lanes, fresh: Any, termination: Any) -> Any:
     """Return 1 where a controller must run; 0 where an event has just ended a trajectory."""
-    due = fresh < -1.0  # never
-    for tick, period in zip(lanes.control.ticks, periods_of(plan, body), strict=True):
-        due = due | _ticks(lanes.clock, tick, period, fresh)
+    due = is_any_due(plan, body, lanes.control, lanes.clock.t, fresh)
     return where(due & (termination == 0.0), 1.0, 0.0 * fresh)
 
 
-def _ticks(clock: LaneClock, tick: Any, period: Any, fresh: Any) -> Any:
-    return (fresh > 0.5) & (period * tick - clock.t <= rounding_at(clock.t))
-
-
 def ticked(plan: AnyPlan, body: Any, lanes: Lanes, ticks: Any, rows: Any, seed: Any) -> Lanes:
-    """Run the controllers that are due; each reads the outputs of those before it.
+    """Run the controllers that are due.
 
     Observables are evaluated before and after, where one interval of a mean ends and one begins.
     """
@@ -256,7 +247,8 @@ def ticked(plan: AnyPlan, body: Any, lanes: Lanes, ticks: Any, rows: Any, seed: 
         before = _observed(plan, body, lanes, _half(plan, clock))
         record = record._replace(observed=where(due, before, record.observed))
         clock = clock._replace(seen=where(due, clock.t, clock.seen))
-    control = _controlled(plan, body, lanes._replace(clock=clock), ticks, rows, seed)
+    stream = row_of(plan, rows, NOISE_INDEX)
+    control = controlled(plan, body, lanes.state, lanes.control, clock.t, ticks, seed, stream)
     lanes = Lanes(lanes.state, record, clock, control)
     if watches:
         after = tuple(
@@ -268,36 +260,6 @@ def ticked(plan: AnyPlan, body: Any, lanes: Lanes, ticks: Any, rows: Any, seed: 
         record = record._replace(observed=where(ticks > 0.5, after, record.observed))
     restore_exceptions(plan, flags, ticks)
     return lanes._replace(record=record)
-
-
-def _controlled(
-    plan: AnyPlan, body: Any, lanes: Lanes, ticks: Any, rows: Any, seed: Any
-) -> Control:
-    system, stream = system_of(plan), row_of(plan, rows, NOISE_INDEX)
-    state, clock, control = lanes.state, lanes.clock, lanes.control
-    for number, period in enumerate(periods_of(plan, body)):
-        tick = control.ticks[number]
-        due = _ticks(clock, tick, period, ticks)
-        at = with_signals(plan, body, state, control)
-        seen = system.motion(at, state, clock.t)
-        noise = Noise(seed, stream, tick)
-        controls, memory = system.controlled(at, seen, clock.t, number, noise)
-        control = Control(
-            _set(plan, control.controls, output_slices(plan)[number], controls, due),
-            _set(plan, control.memory, memory_slices(plan)[number], memory, due),
-            _set_tick(control.ticks, number, tick + 1.0, due),
-        )
-    return control
-
-
-def _set(plan: AnyPlan, numbers: Vec, part: slice, new: Any, mask: Any) -> Vec:
-    pairs = zip(completed(plan, new), numbers[part], strict=True)
-    changed = tuple(where(mask, plain(x), old) for x, old in pairs)
-    return numbers[: part.start] + changed + numbers[part.stop :]
-
-
-def _set_tick(ticks: Vec, number: int, new: Any, mask: Any) -> Vec:
-    return tuple(where(mask, new, old) if i == number else old for i, old in enumerate(ticks))
 
 
 def _observed(plan: AnyPlan, body: Any, lanes: Lanes, half: Any) -> tuple[Kept, ...]:
