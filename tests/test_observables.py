@@ -159,6 +159,9 @@ def test_adaptive_steps_are_sampled_within():
         extreme = np.where(rates > 0.0, largest, -least)
         np.testing.assert_allclose(extreme, highest[name], atol=1e-8)
         assert (np.abs((largest, least)) <= highest[name] + 1e-12).all()  # rounding of rotations
+    for i, twist in enumerate(start.pop("twist0")):  # others are sampled where this one is not
+        alone = lierb.integrate(own(ball, sine(), ripple()), twist0=twist, **start).summary
+        assert alone.drop_columns("trajectory").equals(seen.slice(i, 1).drop_columns("trajectory"))
 
 
 def test_observables_mean_keeps_what_rounding_takes():

@@ -36,7 +36,7 @@ from lierb.kernels.stepping.travel import parts_to_watch
 from lierb.kernels.systems.combine import NAN
 from lierb.kernels.systems.derivatives import completed, on_values
 from lierb.kernels.systems.extra_states import with_signals
-from lierb.kernels.systems.observables import with_value
+from lierb.kernels.systems.observables import Kept, with_value
 from lierb.kernels.systems.plan import AnyPlan
 from lierb.kernels.systems.state import OK, State
 from lierb.kernels.systems.system_of import system_of
@@ -70,6 +70,7 @@ def take_samples(plan, body, ranked, state, moved, slopes, trial, accepted, lane
             lanes = begun(plan, lanes, trial, part, samples)
         elif turn <= LAST:
             put_row(plan, rows, ws.THETA, node(part, NODES[turn]))
+            put_row(plan, rows, ws.SELECTED, part.open)
         else:
             extreme = turn - LAST - 1
             if extreme == 2 * samples.shape[1]:
@@ -91,7 +92,7 @@ def take_samples(plan, body, ranked, state, moved, slopes, trial, accepted, lane
             is_last = 1.0 if turn == LAST else 0.0
             exchange(plan, body)
             lanes = sampled(
-                plan, body, there, lanes, trial, theta, part, samples, row, weight, is_last
+                plan, body, there, rows, lanes, trial, theta, part, samples, row, weight, is_last
             )
             exchange(plan, body)
         turn += 1
@@ -151,27 +152,29 @@ def begun(plan: AnyPlan, lanes: Lanes, trial: Trial, part: Part, samples: Any) -
 
 
 def sampled(
-    plan: AnyPlan, body: Any, there: State, lanes: Lanes, trial: Trial, theta: Any, part: Part,
-    samples: Any, row: Any, weight: Any, is_last: Any,
+    plan: AnyPlan, body: Any, there: State, rows: Any, lanes: Lanes, trial: Trial, theta: Any,
+    part: Part, samples: Any, row: Any, weight: Any, is_last: Any,
 ) -> Lanes:  # fmt: skip
-    """Return the lanes with a sample of each observable in their statistics.
+    """Return the selected lanes with a sample of each observable in their statistics.
 
-    there : the state at θ.   row : of the samples.   is_last : 1 at the end of the part.
+    there : the state at θ.   row : of the samples.   weight : in means, 0 at an extreme.
+    is_last : 1 at the end of the part.
     """
     if not plan.samples:
         return lanes
     record, time, system = lanes.record, inner.time_between(trial, theta), system_of(plan)
     body = with_signals(plan, body, there, lanes.control)
     seen = system.observed(body, system.motion(body, there, time), time)
-    share, is_open = weight * _stretch(lanes, trial, part), part.open > 0.5
+    share, selected = weight * _stretch(lanes, trial, part), row_of(plan, rows, ws.SELECTED) > 0.5
     observed, alive = [], record.status == OK
     pairs = zip(record.observed, completed(plan, seen), strict=True)
     for i, (old, value) in enumerate(pairs):
         known = where(alive, value, NAN)
         store(samples, (row, i, 0), values(known), plan.lanes)
         new = with_value(old, known, share, alive)
-        new = new._replace(last=where(is_last > 0.5, new.last, old.last))
-        observed.append(where(is_open, new, old))
+        total, lost = where(weight > 0.0, (new.total, new.lost), (old.total, old.lost))
+        last = where(is_last > 0.5, new.last, old.last)
+        observed.append(where(selected, Kept(new.least, new.largest, total, lost, last), old))
     return lanes._replace(record=record._replace(observed=tuple(observed)))
 
 
