@@ -2,7 +2,7 @@
 
 Parts of a step, of the length of those in which events are searched, are sampled at the nodes of
 Gauss–Lobatto quadrature, for means and extremes. Where the quartic through the samples has a new
-extreme, the observable is evaluated once more.
+extreme, successive parabolas locate it.
 """
 
 from __future__ import annotations
@@ -47,11 +47,14 @@ INNER = sqrt(3.0 / 7.0)
 NODES = (-1.0, -INNER, 0.0, INNER, 1.0)  # of Gauss–Lobatto quadrature
 WEIGHTS = (1 / 20, 49 / 180, 16 / 45, 49 / 180, 1 / 20)
 LAST = len(NODES) - 1
-# Rows of an observable's samples: those at the nodes, one at an extreme, the extremes so far.
-AT_EXTREME, LEAST, LARGEST, ROWS = range(len(NODES), len(NODES) + 4)
+# Rows of an observable's samples: those at the nodes, one at an extreme, the extremes so far; place
+# and value at the three points of a bracket, and the range of the samples.
+AT_EXTREME, LEAST, LARGEST, BRACKET = range(len(NODES), len(NODES) + 4)
+ROWS = BRACKET + 7
 NEWTON_STEPS, LONGEST = 6, 0.3  # of the search for the quartic's extreme, and its longest step
 OVERSHOOT = 0.4  # of a quartic beyond its values at the nodes, relative to their range: at most
 GAIN = 1e-9  # least gain for which an extreme is evaluated, relative to the range of the samples
+MOST_TRIES = 20  # evaluations at an extreme
 
 _part_of_loop = numba.njit(**OPTIONS, inline="always")  # compiled only as part of its caller
 
@@ -60,11 +63,14 @@ _part_of_loop = numba.njit(**OPTIONS, inline="always")  # compiled only as part 
 def take_samples(plan, body, ranked, state, moved, slopes, trial, accepted, lanes, own):
     """Sample all observables within a step; return the lanes with their statistics.
 
+    In each part, turn 0 takes the known value at its start, the next ones those at the nodes; then
+    each observable has two turns, for its least and its largest value.
+
     body, ranked : with the signals, then with the rank, at the start of the step.   lanes : at its
     end, which may be an event.
     """
     samples, rows = histories_at(own.samples), numbers_at(own.rows)
-    part, turn = stretches(plan, body, state, moved, trial, accepted), 0
+    part, turn, tries = stretches(plan, body, state, moved, trial, accepted), 0, 0
     while True:
         if turn == 0:
             lanes = begun(plan, lanes, trial, part, samples)
@@ -79,10 +85,15 @@ def take_samples(plan, body, ranked, state, moved, slopes, trial, accepted, lane
                     break
                 continue
             sign = 1.0 if extreme % 2 else -1.0
-            known = LARGEST if extreme % 2 else LEAST
-            put_extreme(plan, samples, extreme // 2, sign, known, rows, part)
-            if not any_of(row_of(plan, rows, ws.SELECTED)):
-                turn += 1
+            if tries == 0:
+                known = LARGEST if extreme % 2 else LEAST
+                put_extreme(plan, samples, extreme // 2, sign, known, rows, part)
+            else:
+                halves = 1.0 if tries % 3 == 0 else 0.0
+                put_narrower(plan, samples, extreme // 2, sign, halves, rows, part)
+            tries += 1
+            if tries > MOST_TRIES or not any_of(row_of(plan, rows, ws.SELECTED)):
+                turn, tries = turn + 1, 0
                 continue
         if turn > 0:
             theta = in_trial(plan, rows, lanes, trial, part)
@@ -95,7 +106,8 @@ def take_samples(plan, body, ranked, state, moved, slopes, trial, accepted, lane
                 plan, body, there, rows, lanes, trial, theta, part, samples, row, weight, is_last
             )
             exchange(plan, body)
-        turn += 1
+        if turn <= LAST:
+            turn += 1
     return lanes
 
 
@@ -183,23 +195,76 @@ def put_extreme(
 ) -> None:
     """Store θ of the quartic's extreme, and select the lanes in which it is a new one.
 
+    Store the samples that bracket it.
+
     sign : 1 for the largest value, −1 for the least.   known : row of the extreme so far.
     """
     if not plan.samples:
         return
     y = [sign * load(samples, (k, observable, 0), plan.lanes) for k in range(len(NODES))]
     known = sign * load(samples, (known, observable, 0), plan.lanes)
-    at, largest, least = NODES[0] + 0.0 * y[0], y[0], y[0]
-    for u, value in zip(NODES[1:], y[1:], strict=True):
-        at = where(value > largest, u, at)
-        largest, least = maximum(largest, value), minimum(least, value)
-    reach = maximum(known, largest) + GAIN * (largest - least)
-    highest = largest + OVERSHOOT * (largest - least)
-    is_near = (highest > known) & (part.open > 0.5)
-    at, value = branch(any_lanes(is_near), lambda: _highest(_quartic(y), at), lambda: (at, known))
-    is_new = is_near & (value > reach) & (absolute(at) < 1.0)
-    put_row(plan, rows, ws.SELECTED, where(is_new, 1.0, 0.0 * at))
-    put_row(plan, rows, ws.THETA, where(is_new, node(part, at), 0.5))
+    low = mid = high = (NODES[0] + 0.0 * y[0], y[0])
+    least = y[0]
+    for k, u in enumerate(NODES):
+        after = min(k + 1, LAST)
+        here = (low, (NODES[max(k - 1, 0)], y[max(k - 1, 0)]), (NODES[after], y[after]))
+        is_higher = y[k] > mid[1] if k else y[k] == y[k]
+        low = where(is_higher, here[1], low)
+        high = where(is_higher, here[2], high)
+        mid = where(is_higher, (u, y[k]), mid)
+        least = minimum(least, y[k])
+    extent = mid[1] - least
+    is_near = (mid[1] + OVERSHOOT * extent > known) & (part.open > 0.5)
+    at, value = branch(
+        any_lanes(is_near), lambda: _highest(_quartic(y), mid[0]), lambda: (mid[0], known)
+    )
+    is_new = is_near & (value > maximum(known, mid[1]) + GAIN * extent) & (absolute(at) < 1.0)
+    is_new = is_new & (low[0] < at) & (at < high[0])
+    numbers = (*low, mid[0], mid[1], *high, extent)
+    for row, number in enumerate(numbers, BRACKET):
+        store(samples, (row, observable, 0), number, plan.lanes)
+    _put_next(plan, rows, part, at, is_new)
+
+
+def put_narrower(
+    plan: AnyPlan, samples: Any, observable: Any, sign: Any, halves: Any, rows: Any, part: Part
+) -> None:
+    """Narrow the bracket by the sample at θ; store the next θ, and select lanes that need it.
+
+    The next θ is that of the parabola through the bracket.
+
+    halves : 1 for the middle of the bracket's larger half instead; one end might never move
+        otherwise.
+    """
+    if not plan.samples:
+        return
+    numbers = [load(samples, (r, observable, 0), plan.lanes) for r in range(BRACKET, ROWS)]
+    low, mid, high, extent = (*numbers[:2],), (*numbers[2:4],), (*numbers[4:6],), numbers[6]
+    selected = row_of(plan, rows, ws.SELECTED) > 0.5
+    at = 2.0 * row_of(plan, rows, ws.THETA) - 1.0
+    seen = at, sign * load(samples, (AT_EXTREME, observable, 0), plan.lanes)
+    is_higher = seen[1] > mid[1]
+    beside = where(is_higher, mid, seen)
+    mid = where(is_higher, seen, mid)
+    low = where(beside[0] < mid[0], beside, low)
+    high = where(beside[0] > mid[0], beside, high)
+    before, after = low[0] - mid[0], high[0] - mid[0]
+    falls, rises = (low[1] - mid[1]) / before, (high[1] - mid[1]) / after
+    bend = (rises - falls) / (after - before)
+    slope = falls - bend * before
+    gain = -0.25 * slope * slope / bend
+    larger = where(-before > after, before, after)
+    at = mid[0] + where(halves > 0.5, 0.5 * larger, -0.5 * slope / bend)
+    goes_on = selected & (bend < 0.0) & (gain > GAIN * extent)
+    goes_on = goes_on & (low[0] < at) & (at < high[0]) & ((at < mid[0]) | (at > mid[0]))
+    for row, number in enumerate((*low, *mid, *high, extent), BRACKET):
+        store(samples, (row, observable, 0), number, plan.lanes)
+    _put_next(plan, rows, part, at, goes_on)
+
+
+def _put_next(plan: AnyPlan, rows: Any, part: Part, at: Any, selected: Any) -> None:
+    put_row(plan, rows, ws.SELECTED, where(selected, 1.0, 0.0 * part.open))
+    put_row(plan, rows, ws.THETA, where(selected, node(part, at), 0.5))
 
 
 def _highest(p: tuple[Any, ...], at: Any) -> tuple[Any, Any]:
@@ -224,5 +289,6 @@ def _quartic(y: list[Any]) -> tuple[Any, ...]:
 
 for _formula in (
     takes_samples, stretches, node, in_trial, next_stretch, begun, sampled, put_extreme,
+    put_narrower,
 ):  # fmt: skip
     kernel(_formula)

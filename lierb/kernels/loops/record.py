@@ -296,10 +296,10 @@ def observe(
 
     Statistics of observables have derivatives; measures have none.
     """
-    if not observables_of(plan):
-        body, state = values(body), values(state)
-    seen = system_of(plan).motion(body, state, time)
-    watched = completed(plan, system_of(plan).observed(body, seen, time))
+    system, plain = system_of(plan), (values(body), values(state))
+    seen = system.motion(*plain, time)
+    of_observed = system.motion(body, state, time) if plan.moving and observables_of(plan) else seen
+    watched = completed(plan, system.observed(body, of_observed, time))
     if may_raise(plan):
         record = with_exceptions(plan, record, k)
     shown, errors, measured = measure(plan, body, state, record, k, time, seen)
