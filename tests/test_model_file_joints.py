@@ -104,8 +104,8 @@ def hinge(limits, more="", name="j", axis="0 1 0"):
         (hinge("-10 10"), (-10.0, 10.0), 0.0),
         (hinge("-6.28 6.28"), (-6.28, 6.28), 0.0),
         (hinge("-3.14 3.14"), (-3.14, 3.14), 0.0),  # a pose is beyond them for 3 mrad alone
-        (hinge("3.5 5"), (3.5, 5.0), 3.0),
-        (hinge("-5 -3.5"), (-5.0, -3.5), -3.0),
+        (hinge("3.5 5"), (3.5, 5.0), 2.0),
+        (hinge("-5 -3.5"), (-5.0, -3.5), -2.0),
         (hinge("4.5 15", 'ref="5"'), (-0.5, 10.0), 2.5),
         (hinge("-1 1"), (-1.0, 1.0), None),
         (hinge("3.5 5", 'ref="4"'), (-0.5, 1.0), None),
@@ -123,6 +123,56 @@ def test_stops_of_hinges_count_turns_where_a_pose_does_not(tmp_path, joint, stop
     assert left_out == ()
 
 
+SPRUNG = 'stiffness="2" springref="{}"'
+
+
+@pytest.mark.parametrize(
+    ("joint", "stops", "start"),
+    [
+        ('<joint axis="0 1 0" stiffness="2"/>', True, 0.0),  # it may spin
+        ('<joint axis="0 1 0" damping="2"/>', True, None),
+        (hinge("-1 1", SPRUNG.format(0.5)), True, None),
+        (hinge("-1 1", SPRUNG.format(0.5)), False, 0.0),  # nothing keeps it within the limits
+        (hinge("-1.7 1.7", SPRUNG.format(2.4)), True, 0.0),
+        (hinge("-0.5 1", SPRUNG.format(2.4)), True, 0.0),
+        (hinge("0 1", SPRUNG.format(2.4)), True, None),
+        (hinge("4 5", SPRUNG.format(4.5)), True, 2.0),  # at qpos0 the shorter way would be wrong
+        (hinge("0 5.5", SPRUNG.format(1.0)), False, 2.5),
+        (hinge("-5.5 0.5", SPRUNG.format(1.0)), False, -2.5),
+        (hinge("-0.5 5.5", SPRUNG.format(-1.0), axis="0 -1 0"), False, 2.5),
+    ],
+)
+def test_springs_of_hinges_count_turns_unless_stops_keep_them_near(tmp_path, joint, stops, start):
+    """Half a turn about the start includes the limits and the angle at qpos0."""
+    stiffness = STIFFNESS if stops else None
+    _, mechanism, _ = read(tmp_path, body("a", joint), limit_stiffness=stiffness)
+    assert [float(x.parameters["start"]) for x in mechanism.states] == [start] * (start is not None)
+    for force in mechanism.forces:
+        assert force.kind.turns == ("" if start is None else "turned_a")
+
+
+@pytest.mark.slow
+def test_springs_pull_back_from_every_pose_within_the_limits_and_from_many_turns(tmp_path):
+    """Right: s + (q₀ − s) cos ωt + v₀/ω sin ωt of two hinges; b spins six turns."""
+    inertial = '<inertial pos="0 0 0" mass="1" diaginertia="0.006 0.006 0.006"/>'
+    path = tmp_path / "springs.xml"
+    path.write_text(f"""<mujoco><compiler angle="radian"/><option gravity="0 0 0"/><worldbody>
+      <body name="a"><joint axis="0 0 1" range="-1.7 1.7" limited="true" stiffness="0.02"
+        springref="2.4"/>{inertial}</body>
+      <body name="b"><joint axis="0 0 1" stiffness="0.006"/>{inertial}</body>
+      </worldbody></mujoco>""")
+    mechanism, _ = read_file(path)
+    q0 = np.linspace(-1.7, 1.7, 9)
+    pose0 = mechanism.pose({"a": q0})
+    twist0 = mechanism.twist({"b": 40.0}, pose0)
+    result = lierb.integrate(mechanism, pose0=pose0, twist0=twist0, dt=1e-3, t_end=2.0)
+    frequency = np.sqrt(0.02 / 0.006)
+    right = 2.4 + (q0 - 2.4) * np.cos(2.0 * frequency)
+    np.testing.assert_allclose(np.asarray(result["turned_a"]), right, rtol=0, atol=1e-10)
+    right = np.full(9, 40.0 * np.sin(2.0))
+    np.testing.assert_allclose(np.asarray(result["turned_b"]), right, rtol=0, atol=1e-10)
+
+
 SCENES = {  # joints of a body; q0 and v0 of MuJoCo; q0 of links relative to qpos0
     "wide": (hinge("-10 10"), [0.0], [30.0], {}),
     "far_from_qpos0": (hinge("3.5 5"), [0.0], [1.0], {}),
@@ -131,6 +181,8 @@ SCENES = {  # joints of a body; q0 and v0 of MuJoCo; q0 of links relative to qpo
     "wound": (
         hinge("-3.5 15", 'ref="4" springref="9" stiffness="2" damping="0.1"'), [4.0], [20.0], {},
     ),
+    "far_from_slack": (hinge("-1.7 1.7", SPRUNG.format(2.4)), [-1.5], [0.0], {"": -1.5}),
+    "spun": ('<joint axis="0 1 0" stiffness="1"/>', [0.0], [40.0], {}),
     "two": (
         hinge("-8 8", 'stiffness="1"', "p", "1 0 0")
         + hinge("4 9", 'stiffness="2" springref="5" damping="0.1"', "q"),
@@ -214,7 +266,7 @@ def equality(own, other=None, polynomial=(0.3, 0.0)):
     return f'<joint joint1="{own}" {second} polycoef="{numbers}"/>'
 
 
-LONG = {"itself", "wheel", "held", "screw"}
+LONG = {"itself", "wheel", "held", "screw", "led"}
 
 
 @pytest.mark.slow
@@ -246,6 +298,22 @@ def test_joints_compose_where_their_couplings_act_on_the_whole(tmp_path):
     _, mechanism, left_out = read(tmp_path, body("a", UNIVERSAL) + OTHER, curved)
     assert mechanism.link("a").joint.name == "universal"
     assert left_out == ("equality 0: equality/joint with a polynomial beyond a₁",)
+
+
+def test_a_count_starts_where_couplings_lead(tmp_path):
+    """z = 4 + q/2 and y = 1 − 2z; w and u lead each other round in a circle."""
+    rows = (
+        ("z", "q", (4.0, 0.5)),
+        ("y", "z", (1.0, -2.0)),
+        ("w", "u", (0.0, 1.0)),
+        ("u", "w", (5, 1)),
+    )
+    bodies = "".join(body(x, f'<joint name="{x}" axis="0 0 1" stiffness="1"/>') for x in "qzyuw")
+    _, mechanism, _ = read(tmp_path, bodies, "".join(equality(*row) for row in rows))
+    starts = {x.name: float(x.parameters["start"]) for x in mechanism.states}
+    assert starts == {
+        "turned_q": 0.0, "turned_z": 4.0, "turned_y": -7.0, "turned_u": 5.0, "turned_w": 5.0,
+    }  # fmt: skip
 
 
 def test_a_floating_base_keeps_couplings_and_stops(tmp_path):

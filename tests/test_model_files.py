@@ -524,21 +524,22 @@ WELDS = {
 }  # fmt: skip
 
 
+@pytest.mark.parametrize("weight", ["1", "0", "2.5", "-1"])
 @pytest.mark.parametrize("ends", WELDS)
-def test_weld_is_a_fixed_loop(tmp_path, ends):
-    """MuJoCo's rows of a rotation are sin(angle/2) of the axis, times eq_data's last number."""
+def test_weld_is_a_fixed_loop_unless_it_leaves_rotations_free(tmp_path, ends, weight):
+    """MuJoCo's rows of a rotation are sin(angle/2) of the axis, times the torquescale."""
     path = one_body(
         tmp_path,
         '<joint type="ball"/>',
         inside='<body pos="0 0.1 0"><site name="here" pos="0.1 0 0" euler="0 1 0"/></body>',
-        outside=f"<equality>{WELDS[ends]}</equality>",
+        outside=f"<equality>{WELDS[ends]}</equality>".replace("/>", f' torquescale="{weight}"/>'),
         around='<site name="there" pos="0 0 1" euler="0.3 0 0"/>',
     )
     mechanism, found, data = assert_same_gap(path)
     half = Rotation.from_matrix(found[:3, :3]).magnitude() / 2
-    scale = data.model.eq_data[0, 10]
-    np.testing.assert_allclose(np.linalg.norm(data.efc_pos[3:6]), scale * np.sin(half), rtol=1e-12)
-    assert mechanism.loops[0].joint.name == "fixed"
+    rows = np.linalg.norm(data.efc_pos[3:6])
+    np.testing.assert_allclose(rows, abs(float(weight)) * np.sin(half), rtol=1e-12)
+    assert mechanism.loops[0].joint.name == ("spherical" if weight == "0" else "fixed")
 
 
 SEQUENCES = {

@@ -8,8 +8,9 @@ from cases import integrate
 from public_cases.shared import bounced, summed
 
 import lierb
-from lierb.errors import ArgumentError, ForceError
+from lierb.errors import ArgumentError, ForceError, StudyError
 from lierb.studies.description.units import unit_of
+from lierb.studies.findings.along_parameters import AlongParameters
 
 INERTIA, STIFFNESS = 0.2, 0.05
 SWING = np.array([1.0, 10.0, 100.0])  # rad
@@ -213,3 +214,82 @@ def test_a_study_counts_turns():
     assert np.ptp(made.problem.states[0].parameters["start"]) > 0.0
     assert made.problem.forces[0].kind.turns == "turned"
     assert unit_of("states.turned.start", study, made.problem) == "rad"
+
+
+FAR = lierb.sampling.Uniform(-15.0, 15.0)
+
+
+def winch(start=0.0, **joints) -> lierb.Mechanism:
+    """A drum with a mainspring, and a link without one."""
+    drum = lierb.Link("drum", BODY, joints.get("drum", lierb.joints.revolute()))
+    return lierb.Mechanism(
+        [drum, lierb.Link("idle", BODY, lierb.joints.revolute())],
+        forces=spring().on("drum"), states=lierb.turns(start=start).on("drum"),
+    )  # fmt: skip
+
+
+def started(problem, quantities, n=5, **given) -> lierb.Study:
+    design = lierb.sampling.Design(quantities, n=n, seed=2)
+    return lierb.study_of(problem, design, dt=1e-3, t_end=1.0, **given)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("is_mechanism", [True, False])
+def test_a_study_counts_from_the_coordinates(tmp_path, is_mechanism):
+    """Right: q₀ cos ωt, up to two turns in both directions."""
+    quantity = f"{'drum.' * is_mechanism}initial.coordinates"
+    problem = winch() if is_mechanism else lierb.Problem(
+        BODY, lierb.joints.revolute(), forces=spring(), states=lierb.turns()
+    )  # fmt: skip
+    far = lierb.sampling.Uniform([-15.0], [15.0])
+    table = lierb.run(started(problem, {quantity: far}), tmp_path / "out").table().to_table()
+    drawn = np.ravel(table[f"sample.{quantity}"].to_pylist())
+    assert np.ptp(np.rint(drawn / (2.0 * np.pi))) > 1.0
+    np.testing.assert_allclose(table["turned"], drawn * np.cos(FREQUENCY), rtol=0, atol=1e-10)
+
+
+def starts_of(study) -> np.ndarray:
+    (state,) = study.batch(0, len(study.design)).problem.states
+    return state.parameters["start"]
+
+
+def test_a_count_starts_at_given_coordinates_and_at_its_start_without_them():
+    gravity = {"problem.gravity": lierb.sampling.Normal((0.0, 0.0, 0.0), 1e-9)}
+    at = {"drum": {"coordinates": 15.0}}
+    assert starts_of(started(winch(), gravity, initial=at)) == 15.0
+    assert starts_of(started(winch(3.0), gravity, initial=at)) == 15.0  # half a turn says nothing
+    assert starts_of(started(winch(14.0), gravity, initial=at)) == 15.0
+    assert starts_of(started(winch(14.0), gravity)) == 14.0
+    idle = {"idle": {"coordinates": 15.0}}
+    assert starts_of(started(winch(14.0), gravity, initial=idle)) == 14.0
+    sliding = winch(drum=lierb.joints.cylindrical())
+    at = {"drum": {"coordinates": [15.0, 0.2]}}
+    assert starts_of(started(sliding, gravity, initial=at)) == 15.0
+    drawn = lierb.sampling.Uniform(-3.0, 3.0)
+    both = {"drum.initial.coordinates": drawn, "states.turned.start": lierb.sampling.Constant(0.0)}
+    study = started(winch(), both)
+    own = study.design.draw(0, 5)["drum.initial.coordinates"]
+    np.testing.assert_array_equal(starts_of(study), own)
+
+
+def test_coordinates_far_from_a_given_start_are_refused():
+    at = lambda angle: {"drum.initial.coordinates": lierb.sampling.Constant(angle)}
+    told = r"problem\.links\.drum\.initial\.coordinates: phi is 15 rad in trajectory {}, more than "
+    far = told + r"half a turn from {} rad, where the state turned starts"
+    with pytest.raises(StudyError, match=far.format(0, 40)):
+        started(winch(40.0), at(15.0))
+    with pytest.raises(StudyError, match=far.format(0, 1)):
+        started(winch(), at(15.0) | {"states.turned.start": lierb.sampling.Constant(1.0)})
+    study = started(winch(40.0), at(41.0))
+    with pytest.raises(StudyError, match=far.format(7, 40)):
+        study.batch(7, 3, lierb.sampling.Design(at(15.0), n=10))
+
+
+def test_drawn_coordinates_of_a_counted_angle_change_the_pose_alone():
+    """Their derivatives need those by pose0, and none by the start of the count."""
+    study = started(winch(), {"drum.initial.coordinates": FAR}, sensitivities=["drum.pose0"])
+    along = AlongParameters(
+        study, study.design.draw(0, 5), {"drum.initial.coordinates": np.ones(1)}
+    )
+    change = along.along("drum.initial.coordinates")
+    np.testing.assert_allclose(change[:, :, 0], np.tile([0, 0, 1, 0, 0, 0], (5, 1)), atol=1e-6)

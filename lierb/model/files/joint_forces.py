@@ -22,7 +22,7 @@ WITH_FORCES = {  # kind of MuJoCo's joint: lierb's joints about or along whose a
     "hinge": ("revolute", "cylindrical", "planar", "schoenflies"),
     "slide": ("prismatic", "cylindrical"),
 }
-WIDE = 5.0  # rad: the rest of a turn is for motion beyond stops, or past a spring's slack angle
+KEPT = 2.5  # rad from a force's zero: the rest of half a turn is for motion beyond stops
 NEAR = 3.0  # rad, less than half a turn
 
 
@@ -38,11 +38,32 @@ def is_curved(model: MjModel, k: int) -> bool:
     return bool(model.eq_obj2id[k] >= 0 and np.any(model.eq_data[k][2:5]))
 
 
-def coupled(model: MjModel) -> Iterator[tuple[int, int]]:
-    """Yield the joints of each equality/joint that becomes a gear or a motor; −1 for none."""
+def _couplings(model: MjModel) -> Iterator[int]:
+    """Yield each equality/joint that becomes a gear or a motor."""
     for k in map(int, np.flatnonzero(model.eq_active0)):
         if is_coupling(model, k) and not is_curved(model, k):
-            yield int(model.eq_obj1id[k]), int(model.eq_obj2id[k])
+            yield k
+
+
+def coupled(model: MjModel) -> Iterator[tuple[int, int]]:
+    """Yield the joints of each equality/joint that becomes a gear or a motor; −1 for none."""
+    for k in _couplings(model):
+        yield int(model.eq_obj1id[k]), int(model.eq_obj2id[k])
+
+
+def _coupled_coordinate(model: MjModel, j: int) -> float:
+    """Return the coordinate of joint j, relative to qpos0, if the joints that lead it are at qpos0.
+
+    An equality/joint y = a₀ + a₁ x leads y; a joint that none leads has 0.
+    """
+    leading = {int(model.eq_obj1id[k]): k for k in _couplings(model)}
+    coordinate, factor = 0.0, 1.0
+    while j in leading:
+        k = leading.pop(j)  # once each: chains may go round in a circle
+        offset, slope = (float(x) for x in model.eq_data[k][:2])
+        coordinate, factor = coordinate + factor * offset, factor * slope
+        j = int(model.eq_obj2id[k])
+    return coordinate
 
 
 @dataclass(frozen=True)
@@ -100,25 +121,35 @@ class JointForces:
     def counts_turns(self) -> bool:
         """Return whether its forces need an angle that counts whole turns, unlike a pose's.
 
-        That is so if stops are wide apart, or if their middle or the spring's slack angle is about
-        half a turn from that of qpos0.
+        By a pose, a spring acts within half a turn of its slack angle, and stops within half a turn
+        of their middle. Only stops keep a joint there.
         """
         if self.kind != "hinge" or not self.has_force:
             return False
-        lower, upper = self._stops or (0.0, 0.0)
-        slack = self._slack if self.spring[0] else 0.0
-        return max(upper - lower, abs(lower + upper), 2.0 * abs(slack)) > WIDE
+        is_sprung = self.spring[0] != 0.0
+        if self._stops is None:
+            return is_sprung
+        zeros = [sum(self._stops) / 2.0, *([self._slack] if is_sprung else [])]
+        reached = 0.0, self._rest, *self._stops
+        return max(abs(angle - zero) for angle in reached for zero in zeros) > KEPT
 
     @property
     def start(self) -> float:
         """Return the angle, rad, to which the angle at the start is the nearest of a pose's.
 
-        Half a turn about it includes 0, the angle at qpos0. As far as that leaves a choice, it
-        includes the limits or, if they are wider, no angle beyond them.
+        Half a turn about it includes the angle at qpos0, or the one to which an equality/joint
+        leads. As far as that leaves a choice, it includes the limits, even without stops, or, if
+        they are wider, no angle beyond them.
         """
-        lower, upper = self._stops or (0.0, 0.0)
-        middle, rest = 0.5 * (lower + upper), max(0.5 * (upper - lower) - NEAR, 0.0)
-        return float(np.clip(np.clip(0.0, middle - rest, middle + rest), -NEAR, NEAR))
+        rest = self._rest
+        lower, upper = self._limits or (rest, rest)
+        least, most = sorted((upper - NEAR, lower + NEAR))
+        return float(np.clip(np.clip(rest, least, most), rest - NEAR, rest + NEAR))
+
+    @property
+    def _rest(self) -> float:
+        """Return the coordinate at qpos0, or that to which an equality/joint leads from there."""
+        return self.direction * _coupled_coordinate(self.model, self.j)
 
     @property
     def range(self) -> tuple[float, float] | None:
@@ -143,12 +174,17 @@ class JointForces:
         return self.direction * float(q - self.model.qpos0[self.model.jnt_qposadr[self.j]])
 
     @property
-    def _stops(self) -> tuple[float, float] | None:
-        """Return the limits at which stops act."""
-        if self.range is None or self.limit_stiffness is None or not self.has_force:
+    def _limits(self) -> tuple[float, float] | None:
+        """Return the range if stops can act at its ends."""
+        if self.range is None or not self.has_force:
             return None
         lower, upper = self.range
         return (lower, upper) if lower <= upper else None
+
+    @property
+    def _stops(self) -> tuple[float, float] | None:
+        """Return the limits at which stops act."""
+        return None if self.limit_stiffness is None else self._limits
 
     def on(self, link: str) -> tuple[list[Force], list[ExtraStates]]:
         """Return the forces on a link, and the state that counts its turns if they need it."""

@@ -15,6 +15,7 @@ from lierb.support.arrays import Array
 if TYPE_CHECKING:
     from mujoco import MjModel
 
+TORQUESCALE = 10  # index among a weld's numbers: weight of the rotation, 0 for a free one
 COORDINATES = {"hinge": "turn", "slide": "slide"}  # by kind of MuJoCo's joint
 
 
@@ -75,11 +76,12 @@ def _connect(data: Array, is_by_sites: bool) -> tuple[str, list[Array]]:
 
 def _weld(data: Array, is_by_sites: bool) -> tuple[str, list[Array]]:
     """Return the joint's name and frames: the anchor in the second body, its pose in the first."""
+    name = "fixed" if data[TORQUESCALE] else "spherical"
     anchor = np.eye(4)
     if is_by_sites:
-        return "fixed", [np.eye(4), anchor]
+        return name, [np.eye(4), anchor]
     anchor[:3, 3] = data[:3]
-    return "fixed", [pose_of(data[3:6], data[6:10]), anchor]
+    return name, [pose_of(data[3:6], data[6:10]), anchor]
 
 
 def _add_coupling(model: MjModel, k: int, label: str, parts: Parts) -> None:

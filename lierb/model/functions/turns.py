@@ -25,7 +25,8 @@ def turns(name: str = "turned", *, start: ArrayLike = 0.0) -> ExtraStates:
         Name of the state and of its column; needed if several joints are counted.
     start : float or array_like, shape (n,), optional
         Angle at the start, rad, up to less than half a turn: the state starts at the angle of the
-        pose that is nearest to it.
+        pose that is nearest to it. In a study the state starts at the joint's
+        `initial.coordinates`, if they are given.
 
     Returns
     -------

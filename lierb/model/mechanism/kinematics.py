@@ -144,7 +144,8 @@ class TreeKinematics(Tree):
     def pose(self, coordinates: ByLink | None = None) -> dict[str, Array]:
         """Compute the poses of all links from joint coordinates.
 
-        Loops may remain open; `close` closes them.
+        Loops may remain open; `close` closes them. Poses have no whole turns: those of a joint that
+        counts them, by `lierb.turns`, are given by `with_({"drum.turned.start": 15.0})`.
 
         Parameters
         ----------

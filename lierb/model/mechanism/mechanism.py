@@ -107,7 +107,10 @@ class Mechanism(TreeKinematics):
         between them.
         A link without mass or inertia has 1e-12 of what hangs on it.
         `equality/connect` and `weld` become loops, `equality/joint` gears. Springs and dampers of
-        joints that keep their axis become forces. `pose()` is the pose at qpos0. A LeftOutWarning
+        joints that keep their axis become forces. A state `turned_LINK`, made by `lierb.turns`,
+        counts the turns of a hinge with a spring, unless stops keep it within 2.5 rad of its slack
+        angle, and of a hinge with stops more than 5 rad apart, or whose middle is more than 2.5 rad
+        from qpos0. `pose()` is the pose at qpos0. A LeftOutWarning
         lists the elements that are left out: contacts, friction, actuators, tendons and others.
         Requires mujoco (the extra `lierb[mjcf]`).
 
@@ -129,9 +132,7 @@ class Mechanism(TreeKinematics):
             is always merged with its parent. A body that is welded to the world is the ground.
         limit_stiffness : float, optional
             Stiffness of stops at the limits of hinges, N m/rad, and slides, N/m; with None,
-            limits are left out. In MuJoCo stiffness depends on the mass at a stop. A state
-            `turned_LINK`, made by `lierb.turns`, counts the turns of a hinge with limits that are
-            more than 5 rad apart, or whose middle is more than 2.5 rad from qpos0.
+            limits are left out. In MuJoCo stiffness depends on the mass at a stop.
 
         Returns
         -------

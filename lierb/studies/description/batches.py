@@ -20,7 +20,12 @@ from lierb.model.problem import Problem
 from lierb.sampling import Design
 from lierb.studies.description.messages import at
 from lierb.studies.description.sections.sampling import SHAPES
-from lierb.studies.description.starting import AUTO, started, started_mechanism
+from lierb.studies.description.starting import (
+    AUTO,
+    counted_from_coordinates,
+    started,
+    started_mechanism,
+)
 from lierb.studies.description.study_file import ELEMENTS
 from lierb.studies.description.study_tables import NOTHING, StudyTables
 from lierb.support.arrays import Array
@@ -90,7 +95,7 @@ def batch_at(study: StudyTables, draws: dict[str, Array], first: int, count: int
     if study.problem.links:
         ready = _mechanism(study, own, elements, first, count)
     else:
-        ready = _one_body(study, own, elements, count)
+        ready = _one_body(study, own, elements, first, count)
     if own:
         table, _, _ = next(iter(own)).partition(".")
         names = [each.label for each in getattr(study.problem, table)]
@@ -119,7 +124,7 @@ def _elements(study: StudyTables, own: Draws) -> Elements:
 
 
 def _one_body(
-    study: StudyTables, own: Draws, elements: Elements, count: int
+    study: StudyTables, own: Draws, elements: Elements, first: int, count: int
 ) -> tuple[Problem, Array, Array | None]:
     assert study.body is not None
     assert study.joint is not None
@@ -127,10 +132,14 @@ def _one_body(
         body = study.body.make(own.pop("body", {}))
     with at("joint"):
         joint = study.joint.make(own.pop("joint", {}))
+    initial = study.initial.given() | own.pop("initial", {})
+    with at("initial"):
+        elements["states"] = counted_from_coordinates(
+            elements["states"], {"": joint}, {"": initial}, first
+        )
     with at("problem"):
         problem = Problem(body, joint, _gravity(study, own), **elements)
     with at("initial"):
-        initial = study.initial.given() | own.pop("initial", {})
         twist0, pose0 = started(problem, initial, study.integrate.t0)
     if twist0.ndim == 1:
         twist0 = np.broadcast_to(twist0, (count, 6))
@@ -158,6 +167,9 @@ def _mechanism(
             joint = loop.joint.make(own.pop(f"{loop.name}.joint", {}))
         with at("problem"):
             loops.append(Loop(loop.name, joint, loop.body, loop.parent))
+    with at("initial"), of_links(initial):
+        joints = {link.name: link.joint for link in links}
+        elements["states"] = counted_from_coordinates(elements["states"], joints, initial, first)
     with at("problem"):
         mechanism = Mechanism(links, loops, _gravity(study, own), **elements)
     close, hold = study.initial.close or AUTO, study.initial.hold or []

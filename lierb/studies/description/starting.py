@@ -2,11 +2,13 @@
 
 The table of a single body has the arguments of `Joint.pose` and `Joint.twist`. Links of a mechanism
 are placed relative to their parents, each by its own table `initial`; open loops are then closed.
+Angles that count turns start at the coordinates of their joints.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -14,8 +16,10 @@ import numpy as np
 from lierb.errors import ArgumentError, require_name
 from lierb.kernels.groups import se3
 from lierb.kernels.mechanics.constraints import holds_a_point
+from lierb.kernels.mechanics.passive_elements import TurnCounter
 from lierb.kernels.numbers.vec import IDENTITY, ZERO6, Vec, add, mat_t_vec
 from lierb.model.connections import NOWHERE
+from lierb.model.functions.states import ExtraStates
 from lierb.model.joints.coordinates import motions_of
 from lierb.model.joints.joint import Joint
 from lierb.model.joints.motions import as_coordinates
@@ -37,6 +41,7 @@ from lierb.support.representations import counted
 
 PLACES = ("rotation", "place")
 AUTO, NEVER = "auto", "never"  # closing of loops
+TURN = "phi"  # coordinate about the axis e₃
 Initial = Mapping[str, Any]
 
 
@@ -235,3 +240,51 @@ def _numbers(argument: str, given: Any, names: tuple[str, ...]) -> Array:
             f"{', '.join(names)}"
         )
     return as_coordinates(argument, given, names)
+
+
+# ---- angles that count turns -------------------------------------------------------------------
+
+
+def counted_from_coordinates(
+    states: Sequence[ExtraStates],
+    joints: Mapping[str, Joint],
+    initial: Mapping[str, Initial],
+    first: int,
+) -> list[ExtraStates]:
+    """Return the states; an angle that counts turns starts at its joint's coordinate, if given.
+
+    The pose of a start has lost the whole turns of its coordinates.
+
+    joints, initial : by link; "" for a single body.   first : number of the first trajectory.
+    """
+    counted = []
+    for state in states:
+        link = "".join(state.at)
+        motions = motions_of(joints[link]) if link in joints else None
+        numbers = initial.get(link, {}).get("coordinates")
+        if isinstance(state.kind, TurnCounter) and numbers is not None and motions is not None:
+            label = f"{link}.coordinates" if link else "coordinates"
+            given = _numbers(label, numbers, motions.names)
+            if TURN in motions.names:
+                angle = given[..., motions.names.index(TURN)]
+                _require_near(label, angle, state, first)
+                state = replace(state, parameters={"start": angle})
+        counted.append(state)
+    return counted
+
+
+def _require_near(label: str, angle: Array, state: ExtraStates, first: int) -> None:
+    """Raise ArgumentError for an angle more than half a turn from the start given to its state.
+
+    A start that is not drawn, and within half a turn of 0, its default, determines no turns.
+    """
+    start = state.parameters["start"]
+    is_given = (np.abs(start) > np.pi) | (start.ndim > 0)
+    far = is_given & (np.abs(angle - start) > np.pi)
+    angles, starts, fars = (np.atleast_1d(x) for x in np.broadcast_arrays(angle, start, far))
+    for i in map(int, np.flatnonzero(fars)[:1]):
+        raise ArgumentError(
+            f"{label}: {TURN} is {angles[i]:.6g} rad in trajectory {first + i}, more than half a "
+            f"turn from {starts[i]:.6g} rad, where the state {state.name} starts; leave its start "
+            "at 0, and give coordinates that count the turns"
+        )

@@ -13,6 +13,7 @@ from functools import cached_property
 import numpy as np
 
 from lierb.errors import LierbError
+from lierb.kernels.mechanics.passive_elements import TurnCounter
 from lierb.kernels.systems.layout import POSE
 from lierb.runs.parameters import all_directions, parameters_by_name
 from lierb.runs.start_directions import Start
@@ -25,6 +26,7 @@ from lierb.support.arrays import Array
 STEP = 1e-4  # of the differences, standard deviations
 RANK = 1e-10  # relative size of singular values that count as zero
 NEGLIGIBLE = 1e-6  # change by a standard deviation, relative to the largest number of the field
+COORDINATES = "initial.coordinates"
 AXES = "axes"  # of a frame, by which nothing is differentiated
 
 Fields = dict[str, Array]  # by field of the inputs, (n, numbers, …)
@@ -79,16 +81,23 @@ class AlongParameters:
     def _change(self, quantity: str) -> Fields:
         """Return the changes of all inputs by a standard deviation of each component."""
         draws, change = self.draws[quantity], Fields()
+        ignored = self._counted if quantity.endswith(COORDINATES) else set[str]()
         steps = STEP * np.diag(self.deviations[quantity])
         for component, step in enumerate(steps):
             by = step.reshape(draws.shape[1:])
             up, down = (_inputs_of(self._made({quantity: draws + s * by})) for s in (1.0, -1.0))
             for field in up:
-                if np.any(up[field] != down[field]):
+                if field not in ignored and np.any(up[field] != down[field]):
                     off = _numbers(up[field] - down[field]) / (2.0 * STEP)
                     own = change.setdefault(field, np.zeros((*off.shape, len(steps))))
                     own[..., component] = off
         return change
+
+    @cached_property
+    def _counted(self) -> set[str]:
+        """Fields of the starts of counted angles, which take whole turns alone from coordinates."""
+        elements = zip(self.base.model.element_fields, self.base.model.elements, strict=True)
+        return {f"{field}start" for field, each in elements if isinstance(each.kind, TurnCounter)}
 
     @cached_property
     def _scales(self) -> dict[str, float]:

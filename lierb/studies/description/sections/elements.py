@@ -114,8 +114,8 @@ class EventSection(ColumnSection):
 class StatesSection(ElementSection):
     """Function with `@lierb.states` in a file beside the study, and initial values.
 
-    With `type = "turns"`, the angle of a joint that counts turns, from `start`; `name` is that of
-    its column.
+    With `type = "turns"`, the angle of a joint that counts turns, from the joint's
+    `initial.coordinates` or, without them, from `start`; `name` is that of its column.
     """
 
     table = "states"
