@@ -17,6 +17,7 @@ from kernels.packs import FORMULAS, on_lanes
 from lierb.kernels.functions.copies import traceable
 from lierb.kernels.functions.elementwise import BY_NAME
 from lierb.kernels.functions.function import COMPILED
+from lierb.kernels.functions.object_arrays import numbers
 from lierb.kernels.functions.user_number import Condition, UserNumber
 from lierb.kernels.numbers.dual import Dual
 
@@ -197,3 +198,27 @@ def test_fraction_has_its_slope_where_it_is_zero():
     assert isinstance(found, Dual)
     assert (found.value, found.parts) == (0.0, (1.0,))
     assert math.copysign(1.0, found.value) == -1.0
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-9, 1e-3, 0.4, 2.0, 3.1])
+@pytest.mark.parametrize("wrapped", [UserNumber, lambda x: UserNumber(x.value, x.parts)])
+def test_log_and_quaternion_of_runs_with_derivatives_are_differentiated(angle, wrapped):
+    """In a run, a user's number has a dual number as its value; in a row, parts of its own."""
+    axis, spin = np.array((0.6, 0.0, -0.8)), np.array((0.3, -0.5, 0.2))
+    R = lierb.lie.so3.exp(angle * axis)
+    rate = R @ np.cross(np.eye(3), -spin).T
+    pairs = zip(R.ravel(), rate.ravel(), strict=True)
+    moving = numbers([wrapped(Dual(x, (dx,))) for x, dx in pairs]).reshape(3, 3)
+    rates = lierb.lie.so3.dexpinv(-angle * axis, spin)  # Ṙ = R ω̂ with ω = dexp_{−ξ} ξ̇
+    found = [_parts(x) for x in lierb.log(moving)]
+    np.testing.assert_allclose(found, rates, rtol=1e-12, atol=1e-13)
+    w, *v = lierb.quaternion(R)
+    wanted = (-0.5 * np.dot(v, spin), *(0.5 * (w * spin + np.cross(v, spin))))
+    found = [_parts(x) for x in lierb.quaternion(moving)]
+    np.testing.assert_allclose(found, wanted, rtol=1e-12, atol=1e-13)
+
+
+def _parts(x):
+    """The derivative of a user's number, at whichever level it is."""
+    (part,) = x.parts or x.value.parts
+    return float(part)

@@ -180,11 +180,13 @@ def unit_quaternion(r: Mat) -> Vec:
 
     Its derivative is ½ q ⊗ (0, ω) for Ṙ = R ω̂.
     """
-    if not _has_parts(r):
-        q = so3.quaternion(tuple(map(raw, r)))
-        return _as_traced(r, scale(1.0 / norm(q), q))
-    values = tuple(value_of(x) for x in r)
+    if not any(isinstance(x, UserNumber) for x in r):
+        q = so3.quaternion(r)
+        return scale(1.0 / norm(q), q)
+    values = _values(r)
     q = unit_quaternion(values)
+    if not _has_parts(r):
+        return tuple(map(UserNumber, q))
     rates = [_rate(q, values, rate) for rate in _along_each(r)]
     return tuple(UserNumber(x, parts) for x, parts in zip(q, zip(*rates, strict=True), strict=True))
 
@@ -206,8 +208,10 @@ def _rate(q: Vec, r: Mat, rate: Mat) -> Vec:
 
 def rotation_vector(r: Mat) -> Vec:
     """Return the rotation vector ξ with exp ξ = R, ‖ξ‖ ≤ π."""
+    if not any(isinstance(x, UserNumber) for x in r):
+        return so3.log(r)
     if not _has_parts(r):
-        return _as_traced(r, so3.log(tuple(map(raw, r))))
+        return tuple(map(UserNumber, rotation_vector(_values(r))))
     w, *v = unit_quaternion(r)
     square = v[0] * v[0] + v[1] * v[1] + v[2] * v[2]
     # ξ = v · 2 atan2(‖v‖, w)/‖v‖; near ‖v‖ = 0 the factor is a series in (‖v‖/w)²
@@ -232,8 +236,9 @@ def _along_each(members: Sequence[Any]) -> list[Vec]:
     return [tuple(map(plain, direction)) for direction in zip(*parts, strict=True)]
 
 
-def _as_traced(r: Mat, result: Vec) -> Vec:
-    return tuple(map(UserNumber, result)) if any(isinstance(x, UserNumber) for x in r) else result
+def _values(r: Mat) -> Mat:
+    """Return the numbers without their own parts; their values may be dual numbers."""
+    return tuple(value_of(x) if isinstance(x, UserNumber) else plain(x) for x in r)
 
 
 # ---- for functions that Numba compiles ---------------------------------------------------------
