@@ -15,7 +15,12 @@ from studies import bits, hashes, start
 
 import lierb
 from lierb.api import integrate_model
-from lierb.errors import DerivativeWarning, StudyError
+from lierb.errors import (
+    DerivativeWarning,
+    FailedTrajectoryWarning,
+    StiffStepWarning,
+    StudyError,
+)
 from lierb.results.columns import as_array
 from lierb.studies.dataset import Dataset
 from lierb.studies.description.batches import batch_at
@@ -156,6 +161,51 @@ def test_quantiles_asked_for_are_those_of_linear_theory(far):
     (theory,) = linear_theories(far, (0.25, 0.75))
     assert [q.probability for q in theory.sampled] == [0.25, 0.75]
     assert len(theory.linear) == 2
+
+
+@pytest.fixture(scope="module")
+def failed(tmp_path_factory):
+    """A stiffness of 1e300 N m overflows in the first step, in every body."""
+    changed = tables(n=64)
+    changed["sample"]["forces"]["wire"]["stiffness"] = normal(1e300, 1e298)
+    with pytest.warns(StiffStepWarning), pytest.warns(FailedTrajectoryWarning):
+        return lierb.run(Study.of(changed), tmp_path_factory.mktemp("failed") / "out")
+
+
+def test_a_study_whose_bodies_all_failed_is_shown(failed):
+    assert linear_theories(failed) == []
+    result = invoke("show", str(failed.folder))
+    assert result.exit_code == 0
+    assert "64 of 64 trajectories failed (64 non_finite)" in " ".join(result.stdout.split())
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("blank_pictures")
+def test_page_of_failed_bodies_is_written(failed, tmp_path):
+    pytest.importorskip("plotly")
+    from lierb.studies.pages.report import write_report
+
+    text = write_report(failed, tmp_path / "report.html").read_text(encoding="utf-8")
+    assert "non_finite" in text
+    assert "Linear theory" not in text
+
+
+def test_a_setting_that_is_not_begun_has_no_linear_theory(tmp_path):
+    """As while a study of several settings runs, or after it was interrupted."""
+    dataset = lierb.run(Study.of(tables(n=64, dt=[1e-2, 5e-3])), tmp_path / "out")
+    whole = linear_theories(dataset)
+    assert [each.setting.dt for each in whole] == [1e-2, 5e-3]
+    for part in [name for name in dataset.parts if name.startswith("01-")]:
+        del dataset.parts[part]
+    assert linear_theories(dataset) == whole[:1]
+
+
+def test_linear_theory_without_any_derivative_names_the_reasons(tmp_path):
+    changed = tables(n=64, sensitivities=["body.inertia"])
+    changed["sample"] = {"n": 64, "initial": {"velocities": normal([0.5], [0.1])}}
+    (theory,) = linear_theories(lierb.run(Study.of(changed), tmp_path / "out"))
+    assert theory.shares == {}
+    assert theory.left_out == {RATE: "sensitivities lacks what it changes, twist0"}
 
 
 @pytest.mark.slow

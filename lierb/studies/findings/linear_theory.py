@@ -129,7 +129,8 @@ def _of_setting(
             continue
         by = _by_parameters(output, study, some)
         slopes = {name: np.mean(by @ weights, axis=0)[0] for name, weights in along.items()}
-        linear = values.mean() + sum(_off(rows, name) @ s for name, s in slopes.items())
+        linear = np.full(len(values), values.mean())
+        linear += sum(_off(rows, name) @ s for name, s in slopes.items())
         percentiles, sampled = (
             tuple(quantile_of(np.sort(x), p) for p in probabilities) for x in (linear, values)
         )
@@ -191,7 +192,7 @@ def _rows(dataset: Results, setting: Setting, outputs: Sequence[_Output]) -> dic
         for name in study.integrate.sensitivities
     ]
     rows = {
-        name: values.reshape(len(values), -1)
+        name: values.reshape(len(values), prod(values.shape[1:]))
         for name, values in ok_columns(dataset, setting, [*dict.fromkeys(columns)]).items()
     }
     known = np.all([np.isfinite(values).all(axis=1) for values in rows.values()], axis=0)
