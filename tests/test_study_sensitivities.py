@@ -25,6 +25,7 @@ from lierb.results.columns import as_array
 from lierb.studies.dataset import Dataset
 from lierb.studies.description.batches import batch_at
 from lierb.studies.description.differentiated import parameters_of
+from lierb.studies.description.quantiles import quantile_of
 from lierb.studies.description.study import Study
 from lierb.studies.execution import cluster, running
 from lierb.studies.execution.foreseen import foreseen
@@ -198,6 +199,18 @@ def test_a_setting_that_is_not_begun_has_no_linear_theory(tmp_path):
     for part in [name for name in dataset.parts if name.startswith("01-")]:
         del dataset.parts[part]
     assert linear_theories(dataset) == whole[:1]
+
+
+def test_linear_theory_of_a_saltelli_design_is_of_independent_bodies(tmp_path):
+    """Of five bodies a row, A and B."""
+    changed = tables(n=5 * 64)
+    changed["sample"]["method"] = "saltelli"
+    dataset = lierb.run(Study.of(changed), tmp_path / "out")
+    (theory,) = linear_theories(dataset)
+    rates = as_array(dataset.table().to_table()["omega"])[:, 1]
+    own = np.sort(rates[np.arange(5 * 64) % 5 < 2])
+    assert theory.sampled == tuple(quantile_of(own, p) for p in (0.05, 0.5, 0.95))
+    assert theory.parts_at == ()
 
 
 def test_linear_theory_without_any_derivative_names_the_reasons(tmp_path):

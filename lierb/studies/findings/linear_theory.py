@@ -21,7 +21,7 @@ from lierb.studies.description.quantiles import (
     PROBABILITIES,
     Quantile,
     percent,
-    quantile_of,
+    quantiles_of,
 )
 from lierb.studies.description.settings import Setting
 from lierb.studies.description.study import Study
@@ -123,6 +123,7 @@ def _of_setting(
     along, missing = _along_parameters(study, some, covariances)
     missing |= _noises(study)
     schema = dataset.table().schema
+    independent = study.design.independent(rows["trajectory"][:, 0])
     for output in outputs:
         values = rows[output.column][:, output.item]
         if np.ptp(values) <= CONSTANT * np.abs(rows[output.column]).max():
@@ -132,7 +133,7 @@ def _of_setting(
         linear = np.full(len(values), values.mean())
         linear += sum(_off(rows, name) @ s for name, s in slopes.items())
         percentiles, sampled = (
-            tuple(quantile_of(np.sort(x), p) for p in probabilities) for x in (linear, values)
+            quantiles_of(x, independent, probabilities) for x in (linear, values)
         )
         rounding = ROUNDING * values.std()
         yield LinearTheory(
@@ -182,9 +183,9 @@ def _outputs(study: Study) -> Iterator[_Output]:
 
 
 def _rows(dataset: Results, setting: Setting, outputs: Sequence[_Output]) -> dict[str, Array]:
-    """Read outputs, derivatives and draws of the ok bodies without NaN, (n, numbers)."""
+    """Read numbers, outputs, draws and derivatives of the ok bodies without NaN, (n, numbers)."""
     study = dataset.study
-    columns = [output.column for output in outputs]
+    columns = ["trajectory", *(output.column for output in outputs)]
     columns += [_sampled(name) for name in study.design.quantities if name != NOTHING]
     columns += [
         f"{output.of}{SEPARATOR}{name}"
