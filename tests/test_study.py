@@ -157,6 +157,65 @@ def test_error_names_line_and_key(name, tmp_path):
     assert message in str(caught.value)
 
 
+NEGATIVE = """\
+[body]
+mass = 2.0
+inertia = [0.05, 0.06, 0.07]
+[joint]
+type = "free"
+[sample]
+n = 60_000
+seed = 3
+[sample.body.mass]
+distribution = "normal"
+mean = 4.0
+std = 1.0
+[integrate]
+dt = 0.1
+t_end = 0.1
+[output]
+part = 1000
+"""
+
+
+@pytest.mark.parametrize("part", [1000, 1])
+def test_draws_that_make_no_body_are_refused_before_the_run(part, tmp_path):
+    file = tmp_path / "s.toml"
+    file.write_text(NEGATIVE.replace("part = 1000", f"part = {part}"))
+    masses = Study.load(file).design.draw()["body.mass"]
+    body = int(np.flatnonzero(masses <= 0.0)[0])
+    assert body > 30_000
+    told = f"s.toml:9: sample.body.mass: trajectory {body}: mass is {masses[body]} kg; expected a"
+    for run in (lierb.integrate_batches, lambda path: lierb.run(path, tmp_path / "out")):
+        with pytest.raises(StudyError, match=re.escape(told)):
+            run(file)
+    assert not (tmp_path / "out" / "manifest.json").exists()
+
+
+@pytest.mark.parametrize("count", [100, 1])
+def test_draws_beyond_those_checked_name_the_trajectory(count):
+    given = Study.of(tomllib.loads(NEGATIVE))
+    body = int(np.flatnonzero(given.design.draw()["body.mass"] <= 0.0)[0])
+    with pytest.raises(StudyError, match=rf"^sample\.body\.mass: trajectory {body}: mass is -0\."):
+        given.batch(body - count + 1, count)
+
+
+def test_first_draws_without_a_body_name_the_trajectory():
+    """An index is that of a body only for what is drawn: that of a constant is a component."""
+    changed = tomllib.loads(TEXT)
+    drag = {"distribution": "values", "values": [-1.0, -2.0]}
+    changed["sample"]["forces"] = {"drag": {"linear": drag}}
+    with pytest.raises(
+        StudyError, match=r"sample\.forces\.drag\.linear: trajectory 0: linear is -"
+    ):
+        Study.of(changed)
+    spring = {"type": "spring_damper", "stiffness": 1.0, "ground_point": [0.0, 0.0, np.inf]}
+    changed["problem"]["forces"] = [{"type": "drag"}, spring]
+    changed["sample"]["forces"] = {"drag": {"linear": drag | {"values": [0.1]}}}
+    with pytest.raises(StudyError, match=r"ground_point\[2\] is inf; expected finite numbers$"):
+        Study.of(changed)
+
+
 def test_line_of_finds_the_nearest_key():
     assert line_of(TEXT, ("integrate", "dt")) == TEXT.splitlines().index("dt = [1e-3, 2e-3]") + 1
     assert line_of(TEXT, ("sample", "initial", "omega", "std")) == 23

@@ -9,7 +9,9 @@ from typing import Any
 
 from lierb.errors import StudyError, StudyWarning
 from lierb.runs.provenance import machine
+from lierb.studies.description.batches import check_draws
 from lierb.studies.description.changes import written
+from lierb.studies.description.messages import Given, at_lines
 from lierb.studies.description.sources import as_file, path_given
 from lierb.studies.description.study import Study
 from lierb.studies.storage.files import part_named
@@ -25,15 +27,20 @@ def loaded(
 ) -> tuple[Study, str]:
     """Load and change a study; return it with the text of its file.
 
-    Without changes this is the file's own text, comments included.
+    Without changes this is the file's own text, comments included. Raises StudyError for draws
+    that make no body.
     """
     if isinstance(study, Study):
         given = study.changed(changes or {})
+        with at_lines(Given("study", "", changes or {})):
+            check_draws(given)
         return given, given.to_toml()
     with as_file(path_given(study)) as path:
-        given = Study.load(path, changes)
-        if not changes:
-            return given, path.read_text(encoding="utf-8")
+        given, text = Study.load(path, changes), path.read_text(encoding="utf-8")
+    with at_lines(Given(path.name, text, changes or {})):
+        check_draws(given)
+    if not changes:
+        return given, text
     return given, f"# {path.name} with {', '.join(written(changes))}\n{given.to_toml()}"
 
 
