@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import signal
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -32,7 +33,7 @@ from lierb.studies.execution.foreseen import foreseen
 from lierb.studies.execution.replaying import compile_for, replay
 from lierb.studies.findings.along_parameters import AlongParameters
 from lierb.studies.findings.findings import linear_theories
-from lierb.studies.findings.linear_theory import _shares, left_out
+from lierb.studies.findings.linear_theory import _shares, remarks
 from lierb.studies.storage.files import parquet_files
 from lierb.studies.storage.parts import HISTORY_BYTES, Part, bytes_of_derivatives, part_size
 
@@ -107,7 +108,7 @@ def test_importance_factors_are_those_of_the_closed_form(dataset):
 def test_linear_theory_holds_for_small_deviations(dataset):
     (theory,) = linear_theories(dataset)
     assert theory.parts_at == ()
-    assert theory.warning == ""
+    assert remarks([theory]) == []
     assert theory.left_out == {}
 
 
@@ -143,8 +144,20 @@ def test_linear_percentiles_part_from_sampled_ones(far):
     sampled = np.sort(as_array(far.table().to_table()["omega"])[:, 1])
     assert theory.sampled[2].value == sampled[int(np.ceil(0.95 * 256)) - 1]
     shown = " ".join(invoke("show", str(far.folder)).stdout.split())
-    assert theory.warning in shown
-    assert "linear theory does not hold for omega 2; at" in theory.warning
+    (remark,) = remarks([theory])
+    assert remark in shown
+    assert "linear theory does not hold for omega 2 at" in remark
+
+
+def test_one_sentence_a_setting_names_where_linear_theory_fails(far):
+    """And six outputs of it; the table has all."""
+    (theory,) = linear_theories(far)
+    rows = [theory._replace(name=f"x {i}", parts_at=(0.05, 0.95)) for i in range(8)]
+    other = replace(theory.setting, cspace="reduced")
+    first, second = remarks([*rows, theory._replace(setting=other, name="y", parts_at=(0.5,))])
+    assert "for x 0 at 5%, 95%; x 1 at 5%, 95%; " in first
+    assert "x 5 at 5%, 95%; and 2 more: there the linear percentile is outside" in first
+    assert second.startswith(f"{other.label}: linear theory does not hold for y at 50%: there")
 
 
 def test_equal_draws_of_a_linear_output_do_not_part(tmp_path):
@@ -230,7 +243,7 @@ def test_page_has_linear_theory(far, tmp_path):
     (theory,) = linear_theories(far)
     text = write_report(far, tmp_path / "report.html").read_text(encoding="utf-8")
     assert "<h2>Linear theory beside the sample</h2>" in text
-    assert theory.warning in text
+    assert remarks([theory])[0] in text
     for name, share in theory.shares.items():
         assert f"{share:.3f} {name}" in text
 
@@ -318,9 +331,11 @@ def test_what_has_no_derivatives_is_left_out(tmp_path):
     theory, *_ = rows = linear_theories(lierb.run(Study.of(changed), tmp_path / "out"))
     assert set(theory.shares) == {RATE, STIFFNESS, INERTIA}
     assert sum(theory.shares.values()) == pytest.approx(1.0, rel=1e-12)
-    assert left_out(rows) == [
+    assert {each.parts_at for each in rows} == {()}
+    assert remarks(rows) == [
         "linear theory leaves out initial.coordinates: sensitivities lacks what it changes, pose0",
         "linear theory leaves out joint.axis: lierb has no derivative by what it changes",
+        "linear percentiles lack what is left out, and are not compared with sampled ones",
     ]
     assert "leaves out initial.coordinates" in invoke("show", str(tmp_path / "out")).stdout
 

@@ -368,7 +368,7 @@ def _show(dataset: Dataset, probabilities: tuple[float, ...]) -> None:
         if n:
             click.echo()
         print_whole(table)
-    for line in (*linear_theory.left_out(theory), *(t.warning for t in theory if t.warning)):
+    for line in linear_theory.remarks(theory):
         click.secho(wrapped(line), fg="yellow")
     if moved := dataset.manifest.get("moved"):
         click.secho(wrapped(f"{moved}."), fg="yellow")

@@ -20,7 +20,7 @@ from lierb.studies.description.settings import Setting
 from lierb.studies.description.study import Study
 from lierb.studies.findings import findings
 from lierb.studies.findings.columns import drawn_columns, ok_columns
-from lierb.studies.findings.linear_theory import left_out
+from lierb.studies.findings.linear_theory import remarks
 from lierb.studies.findings.ranking import Ranking, rankings
 from lierb.studies.findings.sizes import errors_seen
 from lierb.studies.findings.tables import form_of, named, shares_of, with_interval
@@ -116,7 +116,7 @@ def _values(
         "events": findings.crossings(dataset, probabilities),
         "indices": findings.indices(dataset),
         "theory": theory,
-        "left_out": left_out(theory),
+        "remarks": remarks(theory),
         "figures": list(sheets(dataset, rank_by)),
         "captions": CAPTIONS,
         "titles": TITLES,
