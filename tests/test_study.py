@@ -336,6 +336,44 @@ def test_wrong_number_of_coordinates_in_a_study_is_told(key):
         started("spherical", {key: [1.0, 2.0]})
 
 
+HINGE = {
+    "body": {"mass": 1.0, "inertia": [1.0, 1.1, 1.2]},
+    "joint": {"type": "revolute", "axis": [0.0, 1.0, 0.0]},
+    "integrate": {"dt": 0.1, "t_end": 1.0},
+}
+NUMBER = {"distribution": "uniform", "low": -1.0, "high": 1.0}
+
+
+@pytest.mark.parametrize("n", [1, 3, 8])
+def test_a_single_coordinate_of_a_study_is_a_number(n):
+    drawn = {"coordinates": NUMBER, "velocities": NUMBER}
+    given = Study.of(HINGE | {"sample": {"n": n, "initial": drawn}})
+    made = given.batch(0, n)
+    joint, draws = made.problem.joint, made.draws
+    found = joint.coordinates(made.pose0)[:, 0]
+    np.testing.assert_allclose(found, draws["initial.coordinates"], rtol=0, atol=1e-15)
+    rates = joint.velocities(made.twist0, made.pose0)[:, 0]
+    np.testing.assert_allclose(rates, draws["initial.velocities"], rtol=0, atol=1e-15)
+    fixed = Study.of(HINGE | {"initial": {"coordinates": 0.3, "velocities": -2.0}})
+    assert joint.coordinates(fixed.batch(0, 1).pose0) == pytest.approx(0.3, abs=1e-15)
+    assert fixed == Study.of(tomllib.loads(fixed.to_toml()))
+
+
+@pytest.mark.parametrize("key", ["coordinates", "velocities"])
+@pytest.mark.parametrize("link", [False, True])
+def test_numbers_of_three_bodies_are_no_coordinates_of_one(key, link):
+    """A number for each of three bodies, on a joint of three coordinates."""
+    body, joint = {"mass": 1.0, "inertia": [1.0, 1.1, 1.2]}, {"type": "spherical"}
+    given = {"integrate": {"dt": 0.1, "t_end": 1.0}, "sample": {"n": 3, "initial": {key: NUMBER}}}
+    if link:
+        given["problem"] = {"links": [{"name": "a", "body": body, "joint": joint}]}
+        given["sample"] = {"n": 3, "a": {"initial": {key: NUMBER}}}
+    else:
+        given |= {"body": body, "joint": joint}
+    with pytest.raises(StudyError, match=r"has shape \(3, 1\); expected \(3,\) or \(n, 3\)"):
+        Study.of(given)
+
+
 def test_three_bodies_of_a_study_may_draw_rotation_vectors():
     """(3, 3), like a matrix."""
     drawn = {"coordinates": {"distribution": "uniform", "low": [0.0] * 3, "high": [1.0] * 3}}

@@ -340,6 +340,19 @@ def test_what_has_no_derivatives_is_left_out(tmp_path):
     assert "leaves out initial.coordinates" in invoke("show", str(tmp_path / "out")).stdout
 
 
+def test_what_is_lacking_has_the_name_of_the_sampled_quantity():
+    """A joint's ground_point and parent_point are one point; `sensitivities` takes both names."""
+    for link, point in (("upper", "ground_point"), ("lower", "parent_point")):
+        changed = DOUBLE | {"sample": {"n": 3, link: {"joint": {point: normal([0.0] * 3, 0.1)}}}}
+        study = Study.of(changed)
+        draws = study.batch(0, 3).draws
+        (name,) = draws
+        chain = AlongParameters(study, draws, {name: np.full(3, 0.1)})
+        assert chain.along(name) == f"sensitivities lacks what it changes, {name}"
+        changed["integrate"] = changed["integrate"] | {"sensitivities": [name]}
+        Study.of(changed)
+
+
 PENDULUM = {
     "body": {"solid": "rod", "length": 0.6, "radius": 0.01, "density": 2700.0},
     "joint": {"type": "screw", "axis": [0.0, 1.0, 0.0], "body_point": [0, 0, 0.3], "pitch": 0.1},

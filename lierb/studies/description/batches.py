@@ -27,6 +27,7 @@ from lierb.support.arrays import SLICE, Array
 
 Draws = dict[str, dict[str, Array]]  # draws by section and key
 Elements = dict[str, Any]  # lists of elements by list of the problem
+COORDINATES = ("coordinates", "velocities")  # a number, or a list of any length, by the joint
 MOST_CHECKED = 10**6  # most bodies made before a study runs: at most some seconds
 NOT_FINITE = "expected finite numbers"  # about a number of the file; draws are finite
 
@@ -118,7 +119,8 @@ def _made(
     for path, values in draws.items():
         section, _, key = path.rpartition(".")
         _check_shape(path, section, key, values.shape[1:])
-        own.setdefault(section, {})[key] = values
+        is_single = key in COORDINATES and values.ndim == 1
+        own.setdefault(section, {})[key] = values[:, None] if is_single else values
     elements = _elements(study, own)
     make = _mechanism if study.problem.links else _one_body
     made = make(study, own, elements)
@@ -265,11 +267,9 @@ def _check_shape(path: str, section: str, key: str, shape: tuple[int, ...]) -> N
 
     Otherwise bodies might be taken for components. Shapes of elements are checked in `_elements`.
     """
-    first, _, of_link = section.partition(".")
-    if first in ELEMENTS or (key == "inertia" and shape == (3, 3)):
-        return
-    is_free = key in ("coordinates", "velocities")
-    if of_link and is_free and shape == ():  # a joint with one coordinate
+    first, _, _ = section.partition(".")
+    is_free = key in COORDINATES
+    if first in ELEMENTS or (key == "inertia" and shape == (3, 3)) or (is_free and shape == ()):
         return
     _require_shape(path, shape, SHAPES.get(key, (3,)), free=is_free)
 
