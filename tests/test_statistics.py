@@ -271,6 +271,12 @@ def test_resume_of_a_study_that_stopped_does_nothing(stopped, tmp_path):
     assert hashes(out) == hashes(stopped)
 
 
+def test_resume_with_more_bodies_stops_at_the_same_part(stopped, tmp_path):
+    lierb.run(study(n=30, stop_when=RULE), tmp_path / "out")
+    lierb.run(study(stop_when=RULE), tmp_path / "out", resume=True)
+    assert hashes(tmp_path / "out") == hashes(stopped)
+
+
 def test_resume_stops_at_the_same_part(stopped, tmp_path):
     out = tmp_path / "out"
     shutil.copytree(stopped, out)

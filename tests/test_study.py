@@ -727,6 +727,48 @@ def test_a_folder_has_the_study_as_it_was_run(run_changed, tmp_path):
     assert hashes(tmp_path / "python") == hashes(out)
 
 
+@pytest.mark.parametrize("before", [8, 20, 24, 3])
+def test_resume_with_more_bodies_adds_them(before, whole, tmp_path):
+    """Files, the manifest too, are those of one run; whole parts are not run again."""
+    out = tmp_path / "out"
+    lierb.run(study(sample={"n": before}), out)
+    parts = sorted((out / "summary").iterdir())
+    ages = {part: part.stat().st_mtime_ns for part in parts}
+    lierb.run(study(), out, resume=True)
+    assert hashes(out) == hashes(whole)
+    kept = [part for part in parts if part.stat().st_mtime_ns == ages[part]]
+    assert len(kept) == 4 * (before // 8)
+
+
+@pytest.mark.parametrize(("method", "before", "after"), [("sobol", 20, 50), ("saltelli", 20, 40)])
+def test_more_points_of_a_sobol_sequence_leave_the_first_ones(method, before, after, tmp_path):
+    for n in (before, after):
+        lierb.run(study(sample={"n": n, "method": method}), tmp_path / "out", resume=True)
+    lierb.run(study(sample={"n": after, "method": method}), tmp_path / "whole")
+    assert hashes(tmp_path / "out") == hashes(tmp_path / "whole")
+
+
+def test_resume_with_more_bodies_and_another_change_is_refused(tmp_path):
+    lierb.run(study(sample={"n": 8}), tmp_path)
+    before = hashes(tmp_path)
+    for sample in ({"n": 20, "seed": 4}, {"n": 4}):
+        with pytest.raises(StudyError, match=r"results of another study: sample\.n = 8 there"):
+            lierb.run(study(sample=sample), tmp_path, resume=True)
+    with pytest.raises(StudyError, match=r"--resume \(resume=True\) adds bodies to them"):
+        lierb.run(study(sample={"n": 20}), tmp_path)
+    assert hashes(tmp_path) == before
+
+
+def test_more_bodies_leave_a_study_of_the_users_alone(tmp_path):
+    """A study.toml that was edited is not written over."""
+    lierb.run(study(sample={"n": 8}), tmp_path)
+    text = study(sample={"n": 8}).to_toml() + "# mine\n"
+    (tmp_path / "study.toml").write_text(text)
+    with pytest.raises(StudyError, match=r"study\.toml says another study"):
+        lierb.run(study(), tmp_path, resume=True)
+    assert (tmp_path / "study.toml").read_text() == text
+
+
 def test_resume_needs_the_same_settings(run_changed):
     file, out = run_changed
     before = hashes(out)
