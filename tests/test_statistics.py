@@ -314,6 +314,7 @@ def test_a_grid_has_quantiles_without_intervals(tmp_path):
         ordered = sorted(r[spread.name] for r in rows)
         assert [q.value for q in spread.quantiles] == [ordered[1], ordered[19], ordered[37]]
         assert np.isnan([q[2:] for q in spread.quantiles]).all()
+    assert "Quantiles of a grid have no intervals" in invoke("show", dataset.folder).stdout
 
 
 @pytest.mark.parametrize("rule", [RULE, "width of failed < 0.1"])
@@ -518,6 +519,8 @@ def test_quantiles_of_a_saltelli_study_are_of_its_independent_bodies(tmp_path):
     own = np.sort([x for body, x in reach.items() if body % 4 < 2])
     (spread,) = (each for each in quantities(dataset) if each.name == "reach_final")
     assert spread.quantiles == tuple(quantile_of(own, p) for p in (0.05, 0.5, 0.95))
+    shown = " ".join(invoke("show", dataset.folder).stdout.split())
+    assert "Quantiles are of the first two bodies of each row of the design, A and B" in shown
 
 
 def test_saltelli_design_swaps_one_quantity_at_a_time():

@@ -35,7 +35,10 @@ from lierb.studies.findings.along_parameters import AlongParameters
 from lierb.studies.findings.findings import linear_theories
 from lierb.studies.findings.linear_theory import _shares, remarks
 from lierb.studies.storage.files import parquet_files
+from lierb.studies.storage.manifest import sealed
 from lierb.studies.storage.parts import HISTORY_BYTES, Part, bytes_of_derivatives, part_size
+from lierb.studies.storage.results import MANIFEST
+from lierb.studies.storage.store import Store
 
 RATE, STIFFNESS, INERTIA, T = "initial.velocities", "forces.wire.stiffness", "body.inertia", 1.0
 BY = ["omega0", "body.inertia", STIFFNESS]
@@ -209,9 +212,16 @@ def test_a_setting_that_is_not_begun_has_no_linear_theory(tmp_path):
     dataset = lierb.run(Study.of(tables(n=64, dt=[1e-2, 5e-3])), tmp_path / "out")
     whole = linear_theories(dataset)
     assert [each.setting.dt for each in whole] == [1e-2, 5e-3]
-    for part in [name for name in dataset.parts if name.startswith("01-")]:
-        del dataset.parts[part]
+    store = Store(tmp_path / "out")
+    store.read()
+    for part in [name for name in store.parts if name.startswith("01-")]:
+        store.drop([*store.parts.pop(part)])
+    store.write(MANIFEST, sealed(store.manifest))
+    dataset.read()
     assert linear_theories(dataset) == whole[:1]
+    shown = invoke("show", str(tmp_path / "out"))
+    assert shown.exit_code == 0
+    assert "1 of 2 parts; the rest with" in " ".join(shown.stdout.split())
 
 
 def test_linear_theory_of_a_saltelli_design_is_of_independent_bodies(tmp_path):

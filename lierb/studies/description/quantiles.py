@@ -15,6 +15,12 @@ from lierb.support.extras import require
 CONFIDENCE = 0.95  # level of every interval
 PROBABILITIES = (0.05, 0.5, 0.95)  # of the quantiles that are shown unless others are asked for
 
+BASIS = {  # remark on the quantiles of a design, by its method
+    "saltelli": "Quantiles are of the first two bodies of each row of the design, A and B, which "
+    "alone are drawn independently.",
+    "grid": "Quantiles of a grid have no intervals: its bodies are chosen, not drawn.",
+}
+
 
 class Quantile(NamedTuple):
     """Sample quantile, and a confidence interval of the population's quantile.

@@ -141,7 +141,6 @@ def _of_setting(
         percentiles, sampled = (
             quantiles_of(x, independent, probabilities) for x in (linear, values)
         )
-        rounding = ROUNDING * values.std()
         yield LinearTheory(
             setting,
             output.name,
@@ -149,13 +148,20 @@ def _of_setting(
             _shares(slopes, covariances),
             tuple(q.value for q in percentiles),
             sampled,
-            tuple(
-                q.probability
-                for x, q in zip(percentiles, sampled, strict=True)
-                if not missing and (x.value < q.low - rounding or x.value > q.high + rounding)
-            ),
+            () if missing else _parting(percentiles, sampled, ROUNDING * values.std()),
             missing,
         )
+
+
+def _parting(
+    linear: Sequence[Quantile], sampled: Sequence[Quantile], rounding: float
+) -> tuple[float, ...]:
+    """Return the probabilities of linear percentiles outside the intervals of the sampled ones."""
+    return tuple(
+        q.probability
+        for x, q in zip(linear, sampled, strict=True)
+        if x.value < q.low - rounding or x.value > q.high + rounding
+    )
 
 
 def _noises(study: Study) -> dict[str, str]:

@@ -15,7 +15,7 @@ from lierb.analysis.magnitudes import kinds_of
 from lierb.analysis.prediction import Prediction, joint_by_joint, predict
 from lierb.errors import LierbError
 from lierb.results.columns import as_array, unit_of
-from lierb.studies.description.quantiles import CONFIDENCE, PROBABILITIES, percent
+from lierb.studies.description.quantiles import BASIS, CONFIDENCE, PROBABILITIES, percent
 from lierb.studies.description.settings import Setting
 from lierb.studies.description.study import Study
 from lierb.studies.findings import findings
@@ -112,6 +112,7 @@ def _values(
         "confidence": f"{CONFIDENCE:.0%}",
         "labels": {k: label for k, label in findings.LABELS.items() if k in (*kinds, "energy")},
         "errors": findings.findings(dataset),
+        "basis": BASIS.get(study.sample.method, ""),
         "quantities": findings.quantities(dataset, probabilities),
         "events": findings.crossings(dataset, probabilities),
         "indices": findings.indices(dataset),
