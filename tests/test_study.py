@@ -203,6 +203,10 @@ def test_draws_beyond_those_checked_name_the_trajectory(count):
 def test_first_draws_without_a_body_name_the_trajectory():
     """An index is that of a body only for what is drawn: that of a constant is a component."""
     changed = tomllib.loads(TEXT)
+    changed["sample"] |= {"n": 1, "forces": {"drag": {"linear": NUMBER | {"low": [0.1, 0.1]}}}}
+    with pytest.raises(StudyError, match=r"linear has shape \(1, 2\); expected .*$") as caught:
+        Study.of(changed)
+    assert "trajectory" not in str(caught.value)
     drag = {"distribution": "values", "values": [-1.0, -2.0]}
     changed["sample"]["forces"] = {"drag": {"linear": drag}}
     with pytest.raises(

@@ -232,7 +232,8 @@ def _trajectories_named(draws: Mapping[str, Array], first: int, count: int) -> I
 def _of_trajectory(message: str, draws: Mapping[str, Array], first: int, count: int) -> str:
     index = r"\[(\d+)\]" if count > 1 else "()"  # numbers of a single body have none
     parts = re.match(rf"([\w.]+): (.*?)(\w+){index}(.*)", message, re.DOTALL)
-    if parts is None or parts[3] in ELEMENTS or message.endswith(NOT_FINITE):
+    is_of_all = message.endswith(NOT_FINITE) or " has shape " in message
+    if parts is None or parts[3] in ELEMENTS or is_of_all:
         return message
     table, before, name, body, after = parts.groups()
     owner = re.sub(r"^problem\.((links|loops)\.)?", "", table)
