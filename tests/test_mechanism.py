@@ -268,6 +268,39 @@ def test_a_four_bar_closes_as_two_circles_meet(loop):
     assert all(np.array_equal(again[n], closed[n]) for n in bars.names)
 
 
+def off_plane(bars: lierb.Mechanism, misfit: float) -> lierb.Mechanism:
+    """The four-bar with its pin off the plane on the rod, by a misfit in m."""
+    (pin,) = bars.loops
+    parent = frame((0, 0, 0), (0, 0, misfit)) @ pin.joint.ground_frame
+    joint = lierb.joints.revolute(body_frame=pin.joint.body_frame, parent_frame=parent)
+    return lierb.Mechanism(bars.links, lierb.Loop("pin", joint, pin.body, pin.parent), GRAVITY)
+
+
+@pytest.mark.parametrize("misfit", [1e-13, 1e-12, 1e-10, 5e-10])
+def test_a_planar_loop_closes_to_the_digits_of_its_numbers(misfit):
+    """Where a run accepts the start; angles are off by less than the misfit over 0.3 m of crank."""
+    bars = off_plane(fourbar(turn=(0.5, -0.8, 0.3)), misfit)
+    closed = bars.close(bars.pose({"crank": [0.7, 0.9], "rod": -0.1, "rocker": 1.7}))
+    q = bars.coordinates(closed)
+    for i in range(2):
+        rod, rocker = expected_fourbar(q["crank"][i, 0])
+        assert q["rod"][i, 0] == pytest.approx(rod, abs=1e-12 + misfit / 0.3)
+        assert q["rocker"][i, 0] == pytest.approx(rocker, abs=1e-12 + misfit / 0.3)
+    moving = bars.project({n: np.ones(6) for n in bars.names}, closed)
+    assert bars.violation(closed, moving) is None
+    held = bars.close(closed, hold={"crank": [1.1]})
+    assert bars.coordinates(held)["crank"] == pytest.approx(np.full((2, 1), 1.1), abs=misfit / 0.3)
+    assert bars.violation(held, bars.twist({}, held)) is None
+
+
+@pytest.mark.parametrize("misfit", [1e-8, 1e-5])
+def test_close_asks_for_digits_where_a_planar_loop_does_not_fit(misfit):
+    bars = off_plane(fourbar(), misfit)
+    with pytest.raises(PoseError, match=r"fit each other, to 1e-09: give .* more digits") as caught:
+        bars.close(bars.pose({"crank": 0.7, "rod": -0.1, "rocker": 1.7}))
+    assert "may not reach" not in str(caught.value)
+
+
 def test_close_tells_of_what_does_not_beside_a_motor_of_given_speed():
     """Whose row is of velocities alone."""
     crank = lierb.Link("crank", lierb.Body(1.0, (1.0, 1.0, 1.0)), lierb.joints.revolute())

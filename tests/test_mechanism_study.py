@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from functools import partial
 
 import numpy as np
 import pytest
@@ -531,6 +532,27 @@ def test_trajectory_that_cannot_be_closed_is_named_by_its_number():
 def test_loops_alone_are_told():
     with pytest.raises(StudyError, match="body: is missing"):
         Study.of({"integrate": {"dt": 1e-3, "t_end": 1.0}, "problem": {"loops": []}})
+
+
+def test_names_of_elements_in_a_study_are_told():
+    """Those of `with_` and of derivatives begin with the link."""
+    springs = [
+        lierb.forces.torsional_spring(stiffness=1.0).on(name) for name in ("crank", "rocker")
+    ]
+    machine = lierb.Mechanism(four_bar().links, four_bar().loops, forces=springs)
+    own = "rocker.torsional_spring.stiffness"
+    machine.with_({own: 2.0})
+    study = partial(lierb.study_of, initial=INITIAL, dt=0.1, t_end=1.0)
+    for name, told in (
+        (own, r"a study names it forces\.torsional_spring_2\.stiffness"),
+        ("springs.x", r"are forces\.torsional_spring \(crank\.torsional_spring\), forces\.tors"),
+    ):
+        with pytest.raises(StudyError, match=told):
+            study(machine, lierb.sampling.Design({name: 2.0}, n=2))
+    drawn = study(machine, lierb.sampling.Design({"forces.torsional_spring_2.stiffness": 2.0}, n=2))
+    _, second = drawn.batch(0, 2).problem.forces
+    assert second.at == ("rocker",)
+    assert second.parameters["stiffness"].tolist() == [2.0, 2.0]
 
 
 @pytest.mark.parametrize(

@@ -8,9 +8,11 @@ from io import StringIO
 from math import comb
 
 import numpy as np
+import pyarrow as pa
 import pytest
 from command import invoke
 from rich.console import Console
+from scipy.stats import chi2
 from studies import hashes, sorted_rows, tables
 
 import lierb
@@ -22,8 +24,9 @@ from lierb.errors import (
     UnknownNameError,
 )
 from lierb.studies.dataset import Dataset
-from lierb.studies.description.quantiles import Quantile, quantile_of, share_width
+from lierb.studies.description.quantiles import Quantile, quantile_of, quantiles_of, share_width
 from lierb.studies.description.settings import Setting
+from lierb.studies.description.stopping import Bodies, Rule
 from lierb.studies.description.study import Study
 from lierb.studies.execution import cluster
 from lierb.studies.findings.findings import SettingErrors, findings, indices, quantities
@@ -74,6 +77,39 @@ def test_quantile_of_too_few_has_no_interval():
     found = quantile_of(np.arange(10.0), 0.95)
     assert (found.value, np.isnan(found.high), np.isnan(found.width)) == (9.0, True, True)
     assert np.isnan(quantile_of(np.empty(0), 0.5).value)
+
+
+@pytest.mark.parametrize("probability", [0.05, 0.95])
+def test_quantile_intervals_of_a_saltelli_design_have_their_confidence(probability):
+    """Lengths of 20 normal components follow χ²; 60 seeds leave 3 standard errors of 0.03 each.
+
+    Rows share 19 of 20 components with A: by all bodies half of the intervals miss the truth.
+    """
+    truth = np.sqrt(chi2.ppf(probability, 20))
+    hits = {"independent": 0, "all": 0}
+    for seed in range(60):
+        normal = {f"x{i}": lierb.sampling.Normal(0.0, 1.0) for i in range(20)}
+        design = lierb.sampling.Design(normal, n=22 * 64, seed=seed, method="saltelli")
+        lengths = np.linalg.norm(np.stack([*design.draw().values()], axis=-1), axis=-1)
+        own = design.independent(np.arange(design.n))
+        for name, chosen in (("independent", own), ("all", np.ones_like(own))):
+            (found,) = quantiles_of(lengths, chosen, (probability,))
+            hits[name] += found.low <= truth <= found.high
+    assert hits["independent"] / 60 > 0.86
+    assert hits["all"] / 60 < 0.7
+
+
+def test_designs_mark_the_bodies_that_they_draw_independently():
+    uniforms = {name: lierb.sampling.Uniform(0.0, 1.0) for name in "abc"}
+    levels = {name: lierb.sampling.Values([1.0, 2.0]) for name in "abc"}
+    bodies = np.arange(3, 13)
+    for method, drawn, expected in (
+        ("random", uniforms, range(3, 13)), ("sobol", uniforms, range(3, 13)),
+        ("saltelli", uniforms, [5, 6, 10, 11]), ("grid", levels, []),
+    ):  # fmt: skip
+        n = None if method == "grid" else 5 * 64
+        design = lierb.sampling.Design(drawn, n, method=method)
+        assert [*bodies[design.independent(bodies)]] == [*expected]
 
 
 def test_share_width_is_that_of_the_rule_of_three():
@@ -235,6 +271,12 @@ def test_resume_of_a_study_that_stopped_does_nothing(stopped, tmp_path):
     assert hashes(out) == hashes(stopped)
 
 
+def test_resume_with_more_bodies_stops_at_the_same_part(stopped, tmp_path):
+    lierb.run(study(n=30, stop_when=RULE), tmp_path / "out")
+    lierb.run(study(stop_when=RULE), tmp_path / "out", resume=True)
+    assert hashes(tmp_path / "out") == hashes(stopped)
+
+
 def test_resume_stops_at_the_same_part(stopped, tmp_path):
     out = tmp_path / "out"
     shutil.copytree(stopped, out)
@@ -243,6 +285,44 @@ def test_resume_stops_at_the_same_part(stopped, tmp_path):
         file.unlink()
     lierb.run(study(stop_when=RULE), out, resume=True)
     assert hashes(out) == hashes(stopped)
+
+
+def test_a_rule_counts_the_independent_bodies_alone():
+    """Of four bodies a row, A and B; one of A has failed. Parts do not end with a row."""
+    design, rule = sensitive().design, Rule(0.5, "x", 0.1, is_relative=False)
+    bodies, values = Bodies(rule, design), np.arange(100.0)[::-1]
+    statuses = np.where(np.arange(100) == 40, "non_finite", "ok")
+    for rows in (slice(0, 37), slice(37, 100)):
+        columns = {"trajectory": np.arange(100)[rows], "x": values[rows]}
+        bodies.add(pa.table(columns | {"status": statuses[rows]}))
+    expected = [x for i, x in enumerate(values) if i % 4 < 2 and i != 40]
+    assert (bodies.count, bodies.failed) == (50, 1)
+    assert bodies.ordered.tolist() == sorted(expected)
+
+
+def grid() -> Study:
+    changed = study().model_dump(exclude_defaults=True, exclude_none=True)
+    masses = {"distribution": "values", "values": np.linspace(5.0, 7.0, 40).tolist()}
+    changed["sample"] = {"method": "grid", "body": {"mass": masses}}
+    return Study.of(changed)
+
+
+def test_a_grid_has_quantiles_without_intervals(tmp_path):
+    dataset = lierb.run(grid(), tmp_path / "out")
+    for spread in quantities(dataset):
+        rows = [r for r in sorted_rows(dataset.folder) if r["dt"] == spread.setting.dt]
+        ordered = sorted(r[spread.name] for r in rows)
+        assert [q.value for q in spread.quantiles] == [ordered[1], ordered[19], ordered[37]]
+        assert np.isnan([q[2:] for q in spread.quantiles]).all()
+    assert "Quantiles of a grid have no intervals" in invoke("show", dataset.folder).stdout
+
+
+@pytest.mark.parametrize("rule", [RULE, "width of failed < 0.1"])
+def test_a_grid_refuses_a_rule(rule):
+    with pytest.raises(
+        StudyError, match=r"sample\.stop_when: a grid has no .* 40 bodies are chosen"
+    ):
+        grid().changed({"sample.stop_when": rule})
 
 
 @pytest.mark.long
@@ -430,6 +510,17 @@ def test_indices_are_of_whole_rows_before_what_is_missing(tmp_path):
     dataset.read()
     del dataset.manifest["parts"]["00-0000000700"]  # rows 175 to 199
     assert {i.rows for i in indices(dataset)} == {128}
+
+
+@pytest.mark.slow
+def test_quantiles_of_a_saltelli_study_are_of_its_independent_bodies(tmp_path):
+    dataset = lierb.run(sensitive(), tmp_path / "out")
+    reach = {r["trajectory"]: r["reach_final"] for r in dataset.table().to_table().to_pylist()}
+    own = np.sort([x for body, x in reach.items() if body % 4 < 2])
+    (spread,) = (each for each in quantities(dataset) if each.name == "reach_final")
+    assert spread.quantiles == tuple(quantile_of(own, p) for p in (0.05, 0.5, 0.95))
+    shown = " ".join(invoke("show", dataset.folder).stdout.split())
+    assert "Quantiles are of the first two bodies of each row of the design, A and B" in shown
 
 
 def test_saltelli_design_swaps_one_quantity_at_a_time():

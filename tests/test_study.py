@@ -157,6 +157,69 @@ def test_error_names_line_and_key(name, tmp_path):
     assert message in str(caught.value)
 
 
+NEGATIVE = """\
+[body]
+mass = 2.0
+inertia = [0.05, 0.06, 0.07]
+[joint]
+type = "free"
+[sample]
+n = 60_000
+seed = 3
+[sample.body.mass]
+distribution = "normal"
+mean = 4.0
+std = 1.0
+[integrate]
+dt = 0.1
+t_end = 0.1
+[output]
+part = 1000
+"""
+
+
+@pytest.mark.parametrize("part", [1000, 1])
+def test_draws_that_make_no_body_are_refused_before_the_run(part, tmp_path):
+    file = tmp_path / "s.toml"
+    file.write_text(NEGATIVE.replace("part = 1000", f"part = {part}"))
+    masses = Study.load(file).design.draw()["body.mass"]
+    body = int(np.flatnonzero(masses <= 0.0)[0])
+    assert body > 30_000
+    told = f"s.toml:9: sample.body.mass: trajectory {body}: mass is {masses[body]} kg; expected a"
+    for run in (lierb.integrate_batches, lambda path: lierb.run(path, tmp_path / "out")):
+        with pytest.raises(StudyError, match=re.escape(told)):
+            run(file)
+    assert not (tmp_path / "out" / "manifest.json").exists()
+
+
+@pytest.mark.parametrize("count", [100, 1])
+def test_draws_beyond_those_checked_name_the_trajectory(count):
+    given = Study.of(tomllib.loads(NEGATIVE))
+    body = int(np.flatnonzero(given.design.draw()["body.mass"] <= 0.0)[0])
+    with pytest.raises(StudyError, match=rf"^sample\.body\.mass: trajectory {body}: mass is -0\."):
+        given.batch(body - count + 1, count)
+
+
+def test_first_draws_without_a_body_name_the_trajectory():
+    """An index is that of a body only for what is drawn: that of a constant is a component."""
+    changed = tomllib.loads(TEXT)
+    changed["sample"] |= {"n": 1, "forces": {"drag": {"linear": NUMBER | {"low": [0.1, 0.1]}}}}
+    with pytest.raises(StudyError, match=r"linear has shape \(1, 2\); expected .*$") as caught:
+        Study.of(changed)
+    assert "trajectory" not in str(caught.value)
+    drag = {"distribution": "values", "values": [-1.0, -2.0]}
+    changed["sample"]["forces"] = {"drag": {"linear": drag}}
+    with pytest.raises(
+        StudyError, match=r"sample\.forces\.drag\.linear: trajectory 0: linear is -"
+    ):
+        Study.of(changed)
+    spring = {"type": "spring_damper", "stiffness": 1.0, "ground_point": [0.0, 0.0, np.inf]}
+    changed["problem"]["forces"] = [{"type": "drag"}, spring]
+    changed["sample"]["forces"] = {"drag": {"linear": drag | {"values": [0.1]}}}
+    with pytest.raises(StudyError, match=r"ground_point\[2\] is inf; expected finite numbers$"):
+        Study.of(changed)
+
+
 def test_line_of_finds_the_nearest_key():
     assert line_of(TEXT, ("integrate", "dt")) == TEXT.splitlines().index("dt = [1e-3, 2e-3]") + 1
     assert line_of(TEXT, ("sample", "initial", "omega", "std")) == 23
@@ -275,6 +338,44 @@ def test_velocities_go_with_a_rotation_and_place():
 def test_wrong_number_of_coordinates_in_a_study_is_told(key):
     with pytest.raises(StudyError, match=rf"initial: {key} has shape \(2,\); expected \(3,\).*xi1"):
         started("spherical", {key: [1.0, 2.0]})
+
+
+HINGE = {
+    "body": {"mass": 1.0, "inertia": [1.0, 1.1, 1.2]},
+    "joint": {"type": "revolute", "axis": [0.0, 1.0, 0.0]},
+    "integrate": {"dt": 0.1, "t_end": 1.0},
+}
+NUMBER = {"distribution": "uniform", "low": -1.0, "high": 1.0}
+
+
+@pytest.mark.parametrize("n", [1, 3, 8])
+def test_a_single_coordinate_of_a_study_is_a_number(n):
+    drawn = {"coordinates": NUMBER, "velocities": NUMBER}
+    given = Study.of(HINGE | {"sample": {"n": n, "initial": drawn}})
+    made = given.batch(0, n)
+    joint, draws = made.problem.joint, made.draws
+    found = joint.coordinates(made.pose0)[:, 0]
+    np.testing.assert_allclose(found, draws["initial.coordinates"], rtol=0, atol=1e-15)
+    rates = joint.velocities(made.twist0, made.pose0)[:, 0]
+    np.testing.assert_allclose(rates, draws["initial.velocities"], rtol=0, atol=1e-15)
+    fixed = Study.of(HINGE | {"initial": {"coordinates": 0.3, "velocities": -2.0}})
+    assert joint.coordinates(fixed.batch(0, 1).pose0) == pytest.approx(0.3, abs=1e-15)
+    assert fixed == Study.of(tomllib.loads(fixed.to_toml()))
+
+
+@pytest.mark.parametrize("key", ["coordinates", "velocities"])
+@pytest.mark.parametrize("link", [False, True])
+def test_numbers_of_three_bodies_are_no_coordinates_of_one(key, link):
+    """A number for each of three bodies, on a joint of three coordinates."""
+    body, joint = {"mass": 1.0, "inertia": [1.0, 1.1, 1.2]}, {"type": "spherical"}
+    given = {"integrate": {"dt": 0.1, "t_end": 1.0}, "sample": {"n": 3, "initial": {key: NUMBER}}}
+    if link:
+        given["problem"] = {"links": [{"name": "a", "body": body, "joint": joint}]}
+        given["sample"] = {"n": 3, "a": {"initial": {key: NUMBER}}}
+    else:
+        given |= {"body": body, "joint": joint}
+    with pytest.raises(StudyError, match=r"has shape \(3, 1\); expected \(3,\) or \(n, 3\)"):
+        Study.of(given)
 
 
 def test_three_bodies_of_a_study_may_draw_rotation_vectors():
@@ -628,6 +729,48 @@ def test_a_folder_has_the_study_as_it_was_run(run_changed, tmp_path):
     assert "top.toml with integrate.dt=0.001" in (out / "study.toml").read_text()
     lierb.run(file, tmp_path / "python", changes=CHANGES)
     assert hashes(tmp_path / "python") == hashes(out)
+
+
+@pytest.mark.parametrize("before", [8, 20, 24, 3])
+def test_resume_with_more_bodies_adds_them(before, whole, tmp_path):
+    """Files, the manifest too, are those of one run; whole parts are not run again."""
+    out = tmp_path / "out"
+    lierb.run(study(sample={"n": before}), out)
+    parts = sorted((out / "summary").iterdir())
+    ages = {part: part.stat().st_mtime_ns for part in parts}
+    lierb.run(study(), out, resume=True)
+    assert hashes(out) == hashes(whole)
+    kept = [part for part in parts if part.stat().st_mtime_ns == ages[part]]
+    assert len(kept) == 4 * (before // 8)
+
+
+@pytest.mark.parametrize(("method", "before", "after"), [("sobol", 20, 50), ("saltelli", 20, 40)])
+def test_more_points_of_a_sobol_sequence_leave_the_first_ones(method, before, after, tmp_path):
+    for n in (before, after):
+        lierb.run(study(sample={"n": n, "method": method}), tmp_path / "out", resume=True)
+    lierb.run(study(sample={"n": after, "method": method}), tmp_path / "whole")
+    assert hashes(tmp_path / "out") == hashes(tmp_path / "whole")
+
+
+def test_resume_with_more_bodies_and_another_change_is_refused(tmp_path):
+    lierb.run(study(sample={"n": 8}), tmp_path)
+    before = hashes(tmp_path)
+    for sample in ({"n": 20, "seed": 4}, {"n": 4}):
+        with pytest.raises(StudyError, match=r"results of another study: sample\.n = 8 there"):
+            lierb.run(study(sample=sample), tmp_path, resume=True)
+    with pytest.raises(StudyError, match=r"--resume \(resume=True\) adds bodies to them"):
+        lierb.run(study(sample={"n": 20}), tmp_path)
+    assert hashes(tmp_path) == before
+
+
+def test_more_bodies_leave_a_study_of_the_users_alone(tmp_path):
+    """A study.toml that was edited is not written over."""
+    lierb.run(study(sample={"n": 8}), tmp_path)
+    text = study(sample={"n": 8}).to_toml() + "# mine\n"
+    (tmp_path / "study.toml").write_text(text)
+    with pytest.raises(StudyError, match=r"study\.toml says another study"):
+        lierb.run(study(), tmp_path, resume=True)
+    assert (tmp_path / "study.toml").read_text() == text
 
 
 def test_resume_needs_the_same_settings(run_changed):

@@ -12,6 +12,7 @@ import sys
 import time
 import tomllib
 from pathlib import Path
+from tempfile import gettempdir
 
 import numpy as np
 import pytest
@@ -503,6 +504,10 @@ def test_study_of_leaves_out_numbers_that_are_defaults():
         ({"steps": 3}, UnknownNameError, "setting='steps' is unknown"),
         ({"initial": {"omga": 1}}, UnknownNameError, "initial='omga' is unknown"),
         ({"quantities": {"omega": 1.0}}, StudyError, "'omega' is no quantity of a problem"),
+        (
+            {"forces": lierb.forces.drag(linear=1.0), "quantities": {"drag.linear": 1.0}},
+            StudyError, r"drag\.linear: a study names it forces\.drag\.linear",
+        ),
         ({"quantities": {"joint.axis": (1.0, 0.0, 0.0)}}, StudyError, "a joint that is made has"),
         ({"quantities": {"forces.drag.linear": 1.0}}, StudyError, "there is no such force"),
         ({"body": lierb.Body([1.0, 2.0], (1.0, 1.0, 1.0))}, StudyError, "mass has numbers of"),
@@ -620,3 +625,12 @@ def test_toml_of_any_tables_is_read_back(value):
     tables = {"a": {"b": value}, "c": [{"d": value}, {"e": [value]}]}
     text = toml_of(tables)
     assert tomllib.loads(text) == tomllib.loads(tomli_w.dumps(tables))
+
+
+def test_a_study_from_standard_input_has_no_python_files():
+    text = (EXAMPLES / "pointing.toml").read_text(encoding="utf-8")
+    result = invoke("run", "-", input=text)
+    assert result.exit_code == 1
+    told = "pointing.py cannot be found: a study from standard input or a pipe has no folder"
+    assert told in " ".join(result.stderr.split())
+    assert gettempdir() not in result.stderr

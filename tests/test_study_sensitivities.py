@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import signal
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -15,20 +16,29 @@ from studies import bits, hashes, start
 
 import lierb
 from lierb.api import integrate_model
-from lierb.errors import DerivativeWarning, StudyError
+from lierb.errors import (
+    DerivativeWarning,
+    FailedTrajectoryWarning,
+    StiffStepWarning,
+    StudyError,
+)
 from lierb.results.columns import as_array
 from lierb.studies.dataset import Dataset
 from lierb.studies.description.batches import batch_at
 from lierb.studies.description.differentiated import parameters_of
+from lierb.studies.description.quantiles import quantile_of
 from lierb.studies.description.study import Study
 from lierb.studies.execution import cluster, running
 from lierb.studies.execution.foreseen import foreseen
 from lierb.studies.execution.replaying import compile_for, replay
 from lierb.studies.findings.along_parameters import AlongParameters
 from lierb.studies.findings.findings import linear_theories
-from lierb.studies.findings.linear_theory import _shares, left_out
+from lierb.studies.findings.linear_theory import _shares, remarks
 from lierb.studies.storage.files import parquet_files
+from lierb.studies.storage.manifest import sealed
 from lierb.studies.storage.parts import HISTORY_BYTES, Part, bytes_of_derivatives, part_size
+from lierb.studies.storage.results import MANIFEST
+from lierb.studies.storage.store import Store
 
 RATE, STIFFNESS, INERTIA, T = "initial.velocities", "forces.wire.stiffness", "body.inertia", 1.0
 BY = ["omega0", "body.inertia", STIFFNESS]
@@ -101,7 +111,7 @@ def test_importance_factors_are_those_of_the_closed_form(dataset):
 def test_linear_theory_holds_for_small_deviations(dataset):
     (theory,) = linear_theories(dataset)
     assert theory.parts_at == ()
-    assert theory.warning == ""
+    assert remarks([theory]) == []
     assert theory.left_out == {}
 
 
@@ -137,8 +147,20 @@ def test_linear_percentiles_part_from_sampled_ones(far):
     sampled = np.sort(as_array(far.table().to_table()["omega"])[:, 1])
     assert theory.sampled[2].value == sampled[int(np.ceil(0.95 * 256)) - 1]
     shown = " ".join(invoke("show", str(far.folder)).stdout.split())
-    assert theory.warning in shown
-    assert "linear theory does not hold for omega 2; at" in theory.warning
+    (remark,) = remarks([theory])
+    assert remark in shown
+    assert "linear theory does not hold for omega 2 at" in remark
+
+
+def test_one_sentence_a_setting_names_where_linear_theory_fails(far):
+    """And six outputs of it; the table has all."""
+    (theory,) = linear_theories(far)
+    rows = [theory._replace(name=f"x {i}", parts_at=(0.05, 0.95)) for i in range(8)]
+    other = replace(theory.setting, cspace="reduced")
+    first, second = remarks([*rows, theory._replace(setting=other, name="y", parts_at=(0.5,))])
+    assert "for x 0 at 5%, 95%; x 1 at 5%, 95%; " in first
+    assert "x 5 at 5%, 95%; and 2 more: there the linear percentile is outside" in first
+    assert second.startswith(f"{other.label}: linear theory does not hold for y at 50%: there")
 
 
 def test_equal_draws_of_a_linear_output_do_not_part(tmp_path):
@@ -158,6 +180,70 @@ def test_quantiles_asked_for_are_those_of_linear_theory(far):
     assert len(theory.linear) == 2
 
 
+@pytest.fixture(scope="module")
+def failed(tmp_path_factory):
+    """A stiffness of 1e300 N m overflows in the first step, in every body."""
+    changed = tables(n=64)
+    changed["sample"]["forces"]["wire"]["stiffness"] = normal(1e300, 1e298)
+    with pytest.warns(StiffStepWarning), pytest.warns(FailedTrajectoryWarning):
+        return lierb.run(Study.of(changed), tmp_path_factory.mktemp("failed") / "out")
+
+
+def test_a_study_whose_bodies_all_failed_is_shown(failed):
+    assert linear_theories(failed) == []
+    result = invoke("show", str(failed.folder))
+    assert result.exit_code == 0
+    assert "64 of 64 trajectories failed (64 non_finite)" in " ".join(result.stdout.split())
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("blank_pictures")
+def test_page_of_failed_bodies_is_written(failed, tmp_path):
+    pytest.importorskip("plotly")
+    from lierb.studies.pages.report import write_report
+
+    text = write_report(failed, tmp_path / "report.html").read_text(encoding="utf-8")
+    assert "non_finite" in text
+    assert "Linear theory" not in text
+
+
+def test_a_setting_that_is_not_begun_has_no_linear_theory(tmp_path):
+    """As while a study of several settings runs, or after it was interrupted."""
+    dataset = lierb.run(Study.of(tables(n=64, dt=[1e-2, 5e-3])), tmp_path / "out")
+    whole = linear_theories(dataset)
+    assert [each.setting.dt for each in whole] == [1e-2, 5e-3]
+    store = Store(tmp_path / "out")
+    store.read()
+    for part in [name for name in store.parts if name.startswith("01-")]:
+        store.drop([*store.parts.pop(part)])
+    store.write(MANIFEST, sealed(store.manifest))
+    dataset.read()
+    assert linear_theories(dataset) == whole[:1]
+    shown = invoke("show", str(tmp_path / "out"))
+    assert shown.exit_code == 0
+    assert "1 of 2 parts; the rest with" in " ".join(shown.stdout.split())
+
+
+def test_linear_theory_of_a_saltelli_design_is_of_independent_bodies(tmp_path):
+    """Of five bodies a row, A and B."""
+    changed = tables(n=5 * 64)
+    changed["sample"]["method"] = "saltelli"
+    dataset = lierb.run(Study.of(changed), tmp_path / "out")
+    (theory,) = linear_theories(dataset)
+    rates = as_array(dataset.table().to_table()["omega"])[:, 1]
+    own = np.sort(rates[np.arange(5 * 64) % 5 < 2])
+    assert theory.sampled == tuple(quantile_of(own, p) for p in (0.05, 0.5, 0.95))
+    assert theory.parts_at == ()
+
+
+def test_linear_theory_without_any_derivative_names_the_reasons(tmp_path):
+    changed = tables(n=64, sensitivities=["body.inertia"])
+    changed["sample"] = {"n": 64, "initial": {"velocities": normal([0.5], [0.1])}}
+    (theory,) = linear_theories(lierb.run(Study.of(changed), tmp_path / "out"))
+    assert theory.shares == {}
+    assert theory.left_out == {RATE: "sensitivities lacks what it changes, twist0"}
+
+
 @pytest.mark.slow
 @pytest.mark.usefixtures("blank_pictures")
 def test_page_has_linear_theory(far, tmp_path):
@@ -167,7 +253,7 @@ def test_page_has_linear_theory(far, tmp_path):
     (theory,) = linear_theories(far)
     text = write_report(far, tmp_path / "report.html").read_text(encoding="utf-8")
     assert "<h2>Linear theory beside the sample</h2>" in text
-    assert theory.warning in text
+    assert remarks([theory])[0] in text
     for name, share in theory.shares.items():
         assert f"{share:.3f} {name}" in text
 
@@ -255,11 +341,26 @@ def test_what_has_no_derivatives_is_left_out(tmp_path):
     theory, *_ = rows = linear_theories(lierb.run(Study.of(changed), tmp_path / "out"))
     assert set(theory.shares) == {RATE, STIFFNESS, INERTIA}
     assert sum(theory.shares.values()) == pytest.approx(1.0, rel=1e-12)
-    assert left_out(rows) == [
+    assert {each.parts_at for each in rows} == {()}
+    assert remarks(rows) == [
         "linear theory leaves out initial.coordinates: sensitivities lacks what it changes, pose0",
         "linear theory leaves out joint.axis: lierb has no derivative by what it changes",
+        "linear percentiles lack what is left out, and are not compared with sampled ones",
     ]
     assert "leaves out initial.coordinates" in invoke("show", str(tmp_path / "out")).stdout
+
+
+def test_what_is_lacking_has_the_name_of_the_sampled_quantity():
+    """A joint's ground_point and parent_point are one point; `sensitivities` takes both names."""
+    for link, point in (("upper", "ground_point"), ("lower", "parent_point")):
+        changed = DOUBLE | {"sample": {"n": 3, link: {"joint": {point: normal([0.0] * 3, 0.1)}}}}
+        study = Study.of(changed)
+        draws = study.batch(0, 3).draws
+        (name,) = draws
+        chain = AlongParameters(study, draws, {name: np.full(3, 0.1)})
+        assert chain.along(name) == f"sensitivities lacks what it changes, {name}"
+        changed["integrate"] = changed["integrate"] | {"sensitivities": [name]}
+        Study.of(changed)
 
 
 PENDULUM = {

@@ -413,6 +413,18 @@ def test_events_are_counted_and_their_first_times_ranked(whole):
     assert f"{each.bodies} of {N}" in shown
 
 
+def test_first_times_have_no_interval_where_bodies_are_not_drawn(whole, monkeypatch):
+    dataset = Dataset(whole)
+    dataset.read()
+    drawn = crossings(dataset)
+    monkeypatch.setattr(
+        lierb.sampling.Design, "independent", lambda _, bodies: np.zeros(len(bodies), dtype=bool)
+    )
+    for each, before in zip(crossings(dataset), drawn, strict=True):
+        assert [q.value for q in each.first] == [q.value for q in before.first]
+        assert np.isnan([q[2:] for q in each.first]).all()
+
+
 @pytest.mark.slow
 @pytest.mark.usefixtures("blank_pictures")
 def test_report_tells_the_events(ending, tmp_path):

@@ -352,6 +352,7 @@ def _report(
 
 
 def _show(dataset: Dataset, probabilities: tuple[float, ...]) -> None:
+    from lierb.studies.description.quantiles import BASIS
     from lierb.studies.findings import findings, linear_theory, tables
 
     shown = [
@@ -368,7 +369,9 @@ def _show(dataset: Dataset, probabilities: tuple[float, ...]) -> None:
         if n:
             click.echo()
         print_whole(table)
-    for line in (*linear_theory.left_out(theory), *(t.warning for t in theory if t.warning)):
+    if basis := BASIS.get(dataset.study.sample.method):
+        click.echo(wrapped(basis))
+    for line in linear_theory.remarks(theory):
         click.secho(wrapped(line), fg="yellow")
     if moved := dataset.manifest.get("moved"):
         click.secho(wrapped(f"{moved}."), fg="yellow")

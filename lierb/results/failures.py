@@ -59,8 +59,8 @@ OFF = 1e-2  # error of a motor's position that is no drift: rad, or relative to 
 def has_failed(summary: pa.Table) -> NDArray[np.bool_]:
     """True for each row whose status is neither ok nor event."""
     codes, names = as_codes(summary["status"])
-    failed: NDArray[np.bool_] = np.array([name not in SUCCESSES for name in names])[codes]
-    return failed
+    failed = np.array([name not in SUCCESSES for name in names], dtype=bool)
+    return np.asarray(failed[codes])
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from math import prod
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from lierb.errors import ArgumentError, require_name
 from lierb.sampling.distribution import Distribution
@@ -173,6 +173,27 @@ class Design:
             for name, values in self._part(start + done, size).items():
                 drawn[name][done : done + size] = values
         return drawn
+
+    def independent(self, bodies: ArrayLike) -> NDArray[np.bool_]:
+        """Mark bodies whose values are drawn independently of each other.
+
+        Confidence intervals by counts of bodies, as those of quantiles, hold for these alone.
+
+        Parameters
+        ----------
+        bodies : array_like of int, shape (n,)
+            Numbers of bodies.
+
+        Returns
+        -------
+        ndarray of bool, shape (n,)
+            True for all bodies of "random" and "sobol", for the first two of each row, A and B, of
+            "saltelli", and for no body of "grid".
+        """
+        numbers = np.asarray(bodies)
+        if self.method == "saltelli":
+            return np.asarray(numbers % (len(self.drawn) + 2) < 2)
+        return np.full(len(numbers), self.method != "grid")
 
     def _part(self, first: int, count: int) -> dict[str, Array]:
         if self.method == "grid":

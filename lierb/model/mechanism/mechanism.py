@@ -241,7 +241,9 @@ class Mechanism(TreeKinematics):
 
         Every step is the motion of least kinetic energy that cancels the residuals, as in
         `lierb.Problem.close`; rows may be redundant. A pose that is already closed to rounding is
-        returned unchanged.
+        returned unchanged. Redundant rows, as of a planar loop, fit each other only as well as the
+        numbers of joints and lengths do: an error that `lierb.integrate` accepts at a start may
+        remain.
 
         Parameters
         ----------

@@ -28,10 +28,13 @@ from lierb.studies.description.starting import (
 )
 from lierb.studies.description.study_file import ELEMENTS
 from lierb.studies.description.study_tables import NOTHING, StudyTables
-from lierb.support.arrays import Array
+from lierb.support.arrays import SLICE, Array
 
 Draws = dict[str, dict[str, Array]]  # draws by section and key
 Elements = dict[str, Any]  # lists of elements by list of the problem
+COORDINATES = ("coordinates", "velocities")  # a number, or a list of any length, by the joint
+MOST_CHECKED = 10**6  # most bodies made before a study runs: at most some seconds
+NOT_FINITE = "expected finite numbers"  # about a number of the file; draws are finite
 
 
 @dataclass(frozen=True)
@@ -78,33 +81,64 @@ def _first_of(arrays: Any) -> Any:
 
 def batch_of(study: StudyTables, first: int, count: int, design: Design | None = None) -> Batch:
     """Make and start the bodies first, …, first + count − 1; see `lierb.Study.batch`."""
-    draws = (design or study.design).draw(first, count)
+    draws = _drawn(design or study.design, first, count)
+    with _trajectories_named(draws, first, count):
+        return batch_at(study, draws, first, count)
+
+
+def check_draws(study: StudyTables) -> None:
+    """Make the first MOST_CHECKED bodies of a study before it runs, which takes little time.
+
+    Raises StudyError for the first one that cannot be made, such as one of a negative mass.
+    """
+    design = study.design
+    bodies = min(len(design), MOST_CHECKED)
+    for first in range(0, bodies, SLICE):
+        count = min(SLICE, bodies - first)
+        draws = _drawn(design, first, count)
+        with _trajectories_named(draws, first, count):
+            problem, initial = _made(study, draws, first)
+            if not isinstance(problem, Mechanism):  # whose loops take long to close
+                _started(study, problem, initial, first, count)
+
+
+def _drawn(design: Design, first: int, count: int) -> dict[str, Array]:
+    draws = design.draw(first, count)
     draws.pop(NOTHING, None)
-    return batch_at(study, draws, first, count)
+    return draws
 
 
 def batch_at(study: StudyTables, draws: dict[str, Array], first: int, count: int) -> Batch:
     """Make and start bodies with these draws.   first : number of the first."""
+    problem, initial = _made(study, draws, first)
+    twist0, pose0 = _started(study, problem, initial, first, count)
+    numbers = np.arange(first, first + count)
+    return Batch(problem, twist0, pose0, draws, study.sample.seed, numbers)
+
+
+def _made(
+    study: StudyTables, draws: dict[str, Array], first: int
+) -> tuple[Problem | Mechanism, dict[str, Any]]:
+    """Make bodies with these draws; return them, and the tables `initial`, of links by name.
+
+    first : number of the first.
+    """
     own: Draws = {}
     for path, values in draws.items():
         section, _, key = path.rpartition(".")
         _check_shape(path, section, key, values.shape[1:])
-        own.setdefault(section, {})[key] = values
+        is_single = key in COORDINATES and values.ndim == 1
+        own.setdefault(section, {})[key] = values[:, None] if is_single else values
     elements = _elements(study, own)
-    ready: tuple[Problem | Mechanism, Any, Any]
-    if study.problem.links:
-        ready = _mechanism(study, own, elements, first, count)
-    else:
-        ready = _one_body(study, own, elements, first, count)
+    make = _mechanism if study.problem.links else _one_body
+    made = make(study, own, elements, first)
     if own:
         table, _, _ = next(iter(own)).partition(".")
         names = [each.label for each in getattr(study.problem, table)]
         raise StudyError(
             f"sample.{next(iter(own))}: there is no such {table.removesuffix('s')}; known: {names}"
         )
-    problem, twist0, pose0 = ready
-    numbers = np.arange(first, first + count)
-    return Batch(problem, twist0, pose0, draws, study.sample.seed, numbers)
+    return made
 
 
 def _elements(study: StudyTables, own: Draws) -> Elements:
@@ -124,8 +158,8 @@ def _elements(study: StudyTables, own: Draws) -> Elements:
 
 
 def _one_body(
-    study: StudyTables, own: Draws, elements: Elements, first: int, count: int
-) -> tuple[Problem, Array, Array | None]:
+    study: StudyTables, own: Draws, elements: Elements, first: int
+) -> tuple[Problem, dict[str, Any]]:
     assert study.body is not None
     assert study.joint is not None
     with at("body"):
@@ -139,11 +173,7 @@ def _one_body(
         )
     with at("problem"):
         problem = Problem(body, joint, _gravity(study, own), **elements)
-    with at("initial"):
-        twist0, pose0 = started(problem, initial, study.integrate.t0)
-    if twist0.ndim == 1:
-        twist0 = np.broadcast_to(twist0, (count, 6))
-    return problem, twist0, pose0
+    return problem, initial
 
 
 def _gravity(study: StudyTables, own: Draws) -> Any:
@@ -151,8 +181,8 @@ def _gravity(study: StudyTables, own: Draws) -> Any:
 
 
 def _mechanism(
-    study: StudyTables, own: Draws, elements: Elements, first: int, count: int
-) -> tuple[Mechanism, dict[str, Array], dict[str, Array]]:
+    study: StudyTables, own: Draws, elements: Elements, first: int
+) -> tuple[Mechanism, dict[str, Any]]:
     links, loops, initial = [], [], {}
     for each in study.problem.links:
         with at(f"problem.links.{each.name}.body"):
@@ -171,13 +201,31 @@ def _mechanism(
         joints = {link.name: link.joint for link in links}
         elements["states"] = counted_from_coordinates(elements["states"], joints, initial, first)
     with at("problem"):
-        mechanism = Mechanism(links, loops, _gravity(study, own), **elements)
+        return Mechanism(links, loops, _gravity(study, own), **elements), initial
+
+
+def _started(
+    study: StudyTables,
+    problem: Problem | Mechanism,
+    initial: dict[str, Any],
+    first: int,
+    count: int,
+) -> tuple[Any, Any]:
+    """Return twists and poses of bodies; of a mechanism by link.   first : number of the first."""
+    if isinstance(problem, Mechanism):
+        return _started_mechanism(study, problem, initial, first, count)
+    with at("initial"):
+        twist0, pose0 = started(problem, initial, study.integrate.t0)
+    return np.broadcast_to(twist0, (count, 6)), pose0
+
+
+def _started_mechanism(
+    study: StudyTables, mechanism: Mechanism, initial: dict[str, Any], first: int, count: int
+) -> tuple[dict[str, Array], dict[str, Array]]:
     close, hold = study.initial.close or AUTO, study.initial.hold or []
     with at("initial"), of_links(mechanism.names):
         try:
-            twists, poses = started_mechanism(
-                mechanism, initial, close, hold, count, study.integrate.t0
-            )
+            return started_mechanism(mechanism, initial, close, hold, count, study.integrate.t0)
         except (PoseError, TwistError) as error:  # which number the bodies of this batch from 0
             numbered = re.sub(
                 r"^(?:pose|twist)\b(?:\[(\d+)\])?",
@@ -185,7 +233,36 @@ def _mechanism(
                 str(error),
             )
             raise type(error)(numbered) from None
-    return mechanism, twists, poses
+
+
+# ---- messages ----------------------------------------------------------------------------------
+
+
+@contextmanager
+def _trajectories_named(draws: Mapping[str, Array], first: int, count: int) -> Iterator[None]:
+    """Convert errors about a number of one of the bodies, `body: mass[6] is …`, to name it."""
+    try:
+        yield
+    except StudyError as error:
+        raise StudyError(_of_trajectory(str(error), draws, first, count)) from None
+
+
+def _of_trajectory(message: str, draws: Mapping[str, Array], first: int, count: int) -> str:
+    index = r"\[(\d+)\]" if count > 1 else "()"  # numbers of a single body have none
+    parts = re.match(rf"([\w.]+): (.*?)(\w+){index}(.*)", message, re.DOTALL)
+    is_of_all = message.endswith(NOT_FINITE) or " has shape " in message
+    if parts is None or parts[3] in ELEMENTS or is_of_all:
+        return message
+    table, before, name, body, after = parts.groups()
+    owner = re.sub(r"^problem\.((links|loops)\.)?", "", table)
+    paths = [p for p in draws if p.startswith(f"{owner}.") and p.endswith(f".{name}")]
+    if count == 1 and not paths:
+        return message
+    key = f"sample.{paths[0]}" if len(paths) == 1 else table
+    return (
+        f"{key}: trajectory {first + int(body or 0)}: {before}{name}{after}; "
+        "choose distributions without such draws, such as truncated_normal"
+    )
 
 
 @contextmanager
@@ -209,11 +286,9 @@ def _check_shape(path: str, section: str, key: str, shape: tuple[int, ...]) -> N
 
     Otherwise bodies might be taken for components. Shapes of elements are checked in `_elements`.
     """
-    first, _, of_link = section.partition(".")
-    if first in ELEMENTS or (key == "inertia" and shape == (3, 3)):
-        return
-    is_free = key in ("coordinates", "velocities")
-    if of_link and is_free and shape == ():  # a joint with one coordinate
+    first, _, _ = section.partition(".")
+    is_free = key in COORDINATES
+    if first in ELEMENTS or (key == "inertia" and shape == (3, 3)) or (is_free and shape == ()):
         return
     _require_shape(path, shape, SHAPES.get(key, (3,)), free=is_free)
 

@@ -8,6 +8,7 @@ from typing import Any
 
 from lierb.errors import StudyError
 from lierb.runs.time_options import MOST_SEED
+from lierb.sampling import Design
 from lierb.studies.description.batches import Batch
 from lierb.studies.description.changes import index_of, path_of
 from lierb.studies.description.sections.running import IntegrateSection
@@ -71,6 +72,15 @@ def check_labels(study: StudyTables) -> None:
             raise StudyError(
                 f"problem.{table}: two have the same name; give each a name of its own"
             )
+
+
+def check_stopping(design: Design) -> None:
+    """Raise StudyError for a design without confidence intervals, which no rule can bound."""
+    if design.method == "grid":
+        raise StudyError(
+            f"sample.stop_when: a grid has no confidence intervals, since its {design.n} bodies "
+            'are chosen, not drawn; leave stop_when out, or take method = "random" or "sobol"'
+        )
 
 
 def check_seed(study: StudyTables) -> None:

@@ -30,7 +30,7 @@ from lierb.model.functions.events import EventFunction
 from lierb.model.functions.observables import ObservableFunction
 from lierb.model.functions.states import StatesFunction
 from lierb.model.functions.wrenches import JumpingFunction
-from lierb.studies.description.sources import LONGEST_STUDY
+from lierb.studies.description.sources import LONGEST_STUDY, is_copied
 from lierb.support.files import reason
 
 PREFIX = "python:"
@@ -88,6 +88,11 @@ def _text_of(folder: Path, file: str) -> str:
         with path.open("rb") as opened:
             content = opened.read(LONGEST_STUDY + 1)
     except FileNotFoundError:
+        if is_copied(folder):
+            raise StudyError(
+                f"{file} cannot be found: a study from standard input or a pipe has no folder; "
+                "save it in the folder of its Python files, and give its path"
+            ) from None
         raise StudyError(
             f"{file} is not in {folder.resolve()}, beside the study, which names it; put it there"
         ) from None

@@ -24,6 +24,7 @@ from lierb.model.functions.elements import Element
 from lierb.model.joints.joint import Joint
 from lierb.model.joints.joint_type import JOINTS
 from lierb.model.mechanism.mechanism import Mechanism
+from lierb.model.numbers import labelled
 from lierb.model.problem import Problem
 from lierb.sampling import Design
 from lierb.studies.description.code import PREFIX, source_of
@@ -108,10 +109,14 @@ def study_of(
     if isinstance(settings.get("stabilise"), Stabilisation):
         settings["stabilise"] = _stabilise(settings["stabilise"])
     code: dict[str, str] = {}
+    elements = {
+        table: _labelled([_element(each, code) for each in getattr(problem, table)])
+        for table in ELEMENTS
+    }
     tables: dict[str, Any] = {
         "name": name,
-        "problem": {"gravity": _one("gravity", problem.gravity, 1)},
-        "sample": _sample(design, problem),
+        "problem": {"gravity": _one("gravity", problem.gravity, 1), **elements},
+        "sample": _sample(design, problem, _names_in_study(problem, elements)),
         "integrate": {key: value for key, value in settings.items() if key in INTEGRATE},
         "output": {key: value for key, value in settings.items() if key in OUTPUT},
     }
@@ -124,9 +129,6 @@ def study_of(
         tables["initial"] = dict(initial or {})
         tables["body"] = _body("", problem.body, design)
         tables["joint"] = _joint("", problem.joint, design)
-    for table in ELEMENTS:
-        elements = [_element(each, code) for each in getattr(problem, table)]
-        tables["problem"][table] = _labelled(elements)
     study = Study.of(tables, code=code)
     _require_same(problem, study)
     return study
@@ -247,8 +249,13 @@ def _frames(
     return frames
 
 
-def _sample(design: Design, problem: Problem | Mechanism) -> dict[str, Any]:
-    """Return the table of the design; quantities are named as in a file."""
+def _sample(
+    design: Design, problem: Problem | Mechanism, elements: Mapping[str, str]
+) -> dict[str, Any]:
+    """Return the table of the design; quantities are named as in a file.
+
+    elements : names of the elements in the study, by those in `with_` and derivatives.
+    """
     names = [name for name in design.quantities if name != NOTHING]
     if design.method != "random" and names != sorted(names):
         raise StudyError(
@@ -259,7 +266,7 @@ def _sample(design: Design, problem: Problem | Mechanism) -> dict[str, Any]:
     for name in names:
         *section, key = name.split(".")
         if not _is_section(section, problem):
-            raise StudyError(_no_quantity(name, problem))
+            raise StudyError(_no_quantity(name, problem, elements))
         if section[-1] == "joint" and section[0] not in ELEMENTS and key not in OF_JOINT:
             raise StudyError(
                 f"{name}: a joint that is made has its frames; of it {', '.join(OF_JOINT)} can be "
@@ -285,14 +292,27 @@ def _is_section(section: list[str], problem: Problem | Mechanism) -> bool:
     return (first in problem.names and last in OF_LINK) or (first in loops and last == "joint")
 
 
-def _no_quantity(name: str, problem: Problem | Mechanism) -> str:
+def _no_quantity(name: str, problem: Problem | Mechanism, elements: Mapping[str, str]) -> str:
+    owner, _, key = name.rpartition(".")
+    if owner in elements:
+        return f"{name}: a study names it {elements[owner]}.{key}, by the list of its element"
     if isinstance(problem, Problem):
         expected = "body.mass, initial.omega or forces.drag.linear"
     else:
         first = problem.names[0]
         expected = f"{first}.body.mass, {first}.initial.velocities or forces.drag.linear"
     what = "problem" if isinstance(problem, Problem) else "mechanism"
-    return f"{brief(name)} is no quantity of a {what}; expected names such as {expected}"
+    listed = ", ".join(f"{own} ({label})" for label, own in elements.items())
+    known = f"; its elements, and their names in with_, are {listed}" if elements else ""
+    return f"{brief(name)} is no quantity of a {what}; expected names such as {expected}{known}"
+
+
+def _names_in_study(
+    problem: Problem | Mechanism, elements: Mapping[str, list[dict[str, Any]]]
+) -> dict[str, str]:
+    """Return the names of the elements in a study, `forces.drag_2`, by those in the problem."""
+    names = [f"{table}.{_label_of(each)}" for table, own in elements.items() for each in own]
+    return {label: name for (_, label, _), name in zip(labelled(problem), names, strict=True)}
 
 
 def _element(element: Element, code: dict[str, str]) -> dict[str, Any]:
@@ -334,11 +354,16 @@ def _element(element: Element, code: dict[str, str]) -> dict[str, Any]:
     return table if element.name == name else table | {"name": element.name}
 
 
+def _label_of(element: Mapping[str, Any]) -> str:
+    """Return the name of an element by its table."""
+    return str(element.get("name") or element["type"].rpartition(":")[2])
+
+
 def _labelled(elements: list[dict[str, Any]]) -> list[dict[str, Any]]:
     """Name elements whose labels are equal: drag, drag_2, …"""
     seen: dict[str, int] = {}
     for element in elements:
-        label = element.get("name") or element["type"].rpartition(":")[2]
+        label = _label_of(element)
         seen[label.lower()] = seen.get(label.lower(), 0) + 1
         if seen[label.lower()] > 1:
             element["name"] = f"{label}_{seen[label.lower()]}"

@@ -158,3 +158,12 @@ def located(message: str, given: Given) -> str:
     """Prefix a message that begins with a key by the key's location: `table.key: …`."""
     key = message.partition(":")[0]
     return f"{given.place(tuple(key.split('.')))}: {shortened(message)}"
+
+
+@contextmanager
+def at_lines(given: Given) -> Iterator[None]:
+    """Convert a StudyError, in a context, to one with the location of its key."""
+    try:
+        yield
+    except StudyError as error:
+        raise StudyError(located(str(error), given)) from None

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lierb.errors import ArgumentError, brief
 from lierb.support.arrays import Array
@@ -13,6 +14,12 @@ from lierb.support.extras import require
 
 CONFIDENCE = 0.95  # level of every interval
 PROBABILITIES = (0.05, 0.5, 0.95)  # of the quantiles that are shown unless others are asked for
+
+BASIS = {  # remark on the quantiles of a design, by its method
+    "saltelli": "Quantiles are of the first two bodies of each row of the design, A and B, which "
+    "alone are drawn independently.",
+    "grid": "Quantiles of a grid have no intervals: its bodies are chosen, not drawn.",
+}
 
 
 class Quantile(NamedTuple):
@@ -55,6 +62,19 @@ def quantile_of(ordered: Array, probability: float) -> Quantile:
     value = float(np.quantile(ordered, probability, method="inverted_cdf"))
     interval = quantile_test(ordered, q=value, p=probability).confidence_interval(CONFIDENCE)
     return Quantile(probability, value, float(interval.low), float(interval.high))
+
+
+def quantiles_of(
+    values: Array, is_independent: NDArray[np.bool_], probabilities: Sequence[float]
+) -> tuple[Quantile, ...]:
+    """Compute quantiles of the bodies that `Design.independent` marks.
+
+    Quantiles of a design without such bodies, a grid, are those of all bodies, without intervals.
+    """
+    is_drawn = bool(is_independent.any())
+    ordered = np.sort(values[is_independent] if is_drawn else values)
+    quantiles = tuple(quantile_of(ordered, p) for p in probabilities)
+    return quantiles if is_drawn else tuple(q._replace(low=np.nan, high=np.nan) for q in quantiles)
 
 
 def fractions(argument: str, percentages: Sequence[float]) -> tuple[float, ...]:

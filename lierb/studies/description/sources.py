@@ -7,7 +7,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
-from tempfile import TemporaryDirectory
+from tempfile import TemporaryDirectory, gettempdir
 from typing import Any
 
 from lierb.errors import ArgumentError, brief
@@ -15,6 +15,7 @@ from lierb.errors import ArgumentError, brief
 STDIN = "-"
 NAMELESS = ("/dev/", "/proc/")
 COPY = "study.toml"
+COPIED = "lierb-study-"  # prefix of the temporary folder of a copy
 LONGEST_STUDY = 4 * 2**20  # most bytes of a study's file: 200 000 numbers with all digits
 
 
@@ -63,10 +64,15 @@ def as_file(path: Path) -> Iterator[Path]:
         return
     with nullcontext(sys.stdin.buffer) if str(path) == STDIN else path.open("rb") as source:
         content = source.read(LONGEST_STUDY + 1)
-    with TemporaryDirectory(prefix="lierb-") as folder:
+    with TemporaryDirectory(prefix=COPIED) as folder:
         copy = Path(folder) / COPY
         copy.write_bytes(content)
         yield copy
+
+
+def is_copied(folder: Path) -> bool:
+    """Return True for the temporary folder of a study from standard input or a pipe."""
+    return folder.name.startswith(COPIED) and folder.parent == Path(gettempdir())
 
 
 def _is_plain(path: Path) -> bool:

@@ -25,6 +25,7 @@ from lierb.model.problem import Problem
 from lierb.results.columns import as_array
 from lierb.results.failures import has_failed
 from lierb.results.tables import COUNTS
+from lierb.sampling import Design
 from lierb.studies.description.quantiles import quantile_of, share_width
 from lierb.support.arrays import Array
 
@@ -94,24 +95,29 @@ def number_columns(problem: Problem | Mechanism, has_lane_clocks: bool) -> list[
 
 
 class Bodies:
-    """Statistics of the finished bodies in one setting, for a stopping rule."""
+    """Statistics of the finished bodies in one setting, for a stopping rule.
 
-    def __init__(self, rule: Rule) -> None:
-        self.rule = rule
+    Only bodies that the design draws independently of each other count.
+    """
+
+    def __init__(self, rule: Rule, design: Design) -> None:
+        self.rule, self.design = rule, design
         self.count = self.failed = 0
         self.ordered: Array = np.empty(0)  # column values of the ok bodies
 
     @property
     def columns(self) -> list[str]:
         """Names of the summary columns on which the rule depends."""
-        return ["status"] if self.rule.probability is None else ["status", self.rule.column]
+        own = [] if self.rule.probability is None else [self.rule.column]
+        return ["trajectory", "status", *own]
 
     def add(self, summary: pa.Table) -> None:
-        failed = has_failed(summary)
+        own = self.design.independent(as_array(summary["trajectory"]))
+        failed = has_failed(summary)[own]
         self.count += len(failed)
         self.failed += int(failed.sum())
         if self.rule.probability is not None:
-            values = as_array(summary[self.rule.column])[~failed]
+            values = as_array(summary[self.rule.column])[own][~failed]
             joined = np.concatenate((self.ordered, np.sort(values[~np.isnan(values)])))
             joined.sort(kind="stable")  # a merge of two sorted runs
             self.ordered = joined

@@ -172,6 +172,7 @@ class Study(Represented, StudyTables):
             batch = self.batch(0, min(PREVIEW, len(design)), design)
         if self.sample.stop_when is not None:
             rule_of(self.sample.stop_when, batch.problem, self.has_lane_clocks)
+            checks.check_stopping(design)
         checks.check_labels(self)
         with at("initial"), np.errstate(all="ignore"):
             checks.check_start(batch, self.integrate.t0)

@@ -9,10 +9,13 @@ from typing import Any
 
 from lierb.errors import StudyError, StudyWarning
 from lierb.runs.provenance import machine
+from lierb.studies.description.batches import check_draws
 from lierb.studies.description.changes import written
+from lierb.studies.description.messages import Given, at_lines
 from lierb.studies.description.sources import as_file, path_given
 from lierb.studies.description.study import Study
 from lierb.studies.storage.files import part_named
+from lierb.studies.storage.manifest import file_of
 from lierb.studies.storage.parts import Parts
 from lierb.studies.storage.results import STUDY
 from lierb.studies.storage.store import Store
@@ -25,15 +28,20 @@ def loaded(
 ) -> tuple[Study, str]:
     """Load and change a study; return it with the text of its file.
 
-    Without changes this is the file's own text, comments included.
+    Without changes this is the file's own text, comments included. Raises StudyError for draws
+    that make no body.
     """
     if isinstance(study, Study):
         given = study.changed(changes or {})
+        with at_lines(Given("study", "", changes or {})):
+            check_draws(given)
         return given, given.to_toml()
     with as_file(path_given(study)) as path:
-        given = Study.load(path, changes)
-        if not changes:
-            return given, path.read_text(encoding="utf-8")
+        given, text = Study.load(path, changes), path.read_text(encoding="utf-8")
+    with at_lines(Given(path.name, text, changes or {})):
+        check_draws(given)
+    if not changes:
+        return given, text
     return given, f"# {path.name} with {', '.join(written(changes))}\n{given.to_toml()}"
 
 
@@ -50,12 +58,16 @@ def opened(
         store.read()
     if overwrite:
         store.clear()
+    adds_bodies = _adds_bodies(store, study, parts)
+    if resume and adds_bodies:
+        store.begin(study, text, parts.total, changes, _whole_parts(store, parts))
     is_same = store.manifest.get("digest") == study.digest()
     if store.parts and not is_same:
         begun = ", ".join(written(store.changes))
         raise StudyError(
             f"{store.folder} has the results of another study: {_differences(store, study)}"
             + (f"; it was run with {begun}" if begun else "")
+            + ("; --resume (resume=True) adds bodies to them" if adds_bodies else "")
             + "; --overwrite (overwrite=True) deletes them"
         )
     if store.parts and not resume:
@@ -71,6 +83,26 @@ def opened(
         _resume(store, study, text)
     store.drop(unentered(store, parts))
     return parts
+
+
+def _adds_bodies(store: Store, study: Study, parts: Parts) -> bool:
+    """Return True if a study differs from the folder's by a larger number of bodies alone."""
+    before = store.manifest["study"]["sample"]["n"] if store.parts else None
+    if before is None or before >= len(study.design):
+        return False
+    sample = study.sample.model_copy(update={"n": before})
+    is_same = study.model_copy(update={"sample": sample}).digest() == store.manifest["digest"]
+    return is_same and None not in map(parts.named, store.parts)
+
+
+def _whole_parts(store: Store, parts: Parts) -> dict[str, Any]:
+    """Return the parts of a folder that get no further bodies."""
+    whole = {}
+    for name, files in store.parts.items():
+        part = parts.named(name)
+        if part is not None and files[file_of("summary", name)]["rows"] == part.count:
+            whole[name] = files
+    return whole
 
 
 def _resume(store: Store, study: Study, text: str) -> None:

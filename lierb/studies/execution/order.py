@@ -24,11 +24,12 @@ class InTurn:
 
     def __init__(self, study: Study, parts: Parts, store: Store) -> None:
         self.parts, self.store, self.rule = parts, store, study.stopping_rule
+        self.design = study.design
         self.pending: dict[str, list[Stored]] = {}
         self.last: dict[Setting, str] = {}
         self.waiting = iter(parts)
         self.next = next(self.waiting, None)
-        self.bodies = Bodies(self.rule) if self.rule else None
+        self.bodies = Bodies(self.rule, self.design) if self.rule else None
 
     @property
     def is_complete(self) -> bool:
@@ -73,7 +74,7 @@ class InTurn:
             self.next = next(self.waiting, None)
         if self.next is None or self.next.setting != part.setting:
             self.last[part.setting] = part.name
-            self.bodies = Bodies(self.rule)
+            self.bodies = Bodies(self.rule, self.design)
 
     def _drop(self) -> None:
         """Delete the files of finished parts beyond the last one of their setting."""

@@ -74,7 +74,7 @@ def integrate_batches(
         bodies: dict[Setting, Bodies] = {}
         for part in parts:
             if rule is not None:
-                known = bodies.setdefault(part.setting, Bodies(rule))
+                known = bodies.setdefault(part.setting, Bodies(rule, design))
                 if known.count and rule.holds(known):
                     continue
             tables = part.tables(given, design, threads)

@@ -71,7 +71,7 @@ class AlongParameters:
         ]
         weights = self._inverse @ np.concatenate(parts, axis=1)
         if fields := [*self._unexplained(change, weights)]:
-            return self._remedy(fields)
+            return self._remedy(fields, quantity)
         return np.asarray(weights / np.where(deviation > 0.0, deviation, 1.0))
 
     def _made(self, changed: Mapping[str, Array]) -> Varied:
@@ -127,17 +127,23 @@ class AlongParameters:
             elif off.max() > least:
                 yield field
 
-    def _remedy(self, fields: list[str]) -> str:
-        """Return the message for fields that are not differentiated."""
+    def _remedy(self, fields: list[str], quantity: str) -> str:
+        """Return the message for fields that are not differentiated.
+
+        Of several names of a field, such as those of a joint's points, it has that of the quantity.
+        """
         model = self.base.model
         by_name = parameters_by_name(model)
-        owners = {by_name[own].fields[0]: name for name, own in names_of(self.study, model).items()
-                  if not by_name[own].is_start}  # fmt: skip
+        names = names_of(self.study, model)
+        ordered = sorted(names.items(), key=lambda pair: pair[0] == quantity)
+        owners = {
+            by_name[own].fields[0]: name for name, own in ordered if not by_name[own].is_start
+        }
         for field, link in zip(model.fields, model.link_names, strict=True):
             prefix = f"{link}." if link else ""
             owners |= {f"{field}{x}": f"{prefix}{x}0" for x in ("pose", "twist")}
-        names = dict.fromkeys(owners.get(field, AXES) for field in fields)
-        lacking = [name for name in names if name not in self.parameters]
+        changed = dict.fromkeys(owners.get(field, AXES) for field in fields)
+        lacking = [name for name in changed if name not in self.parameters]
         if AXES in lacking or not lacking:
             return "lierb has no derivative by what it changes"
         return f"{KEY} lacks what it changes, {', '.join(lacking)}"

@@ -21,7 +21,7 @@ from lierb.studies.description.quantiles import (
     PROBABILITIES,
     Quantile,
     percent,
-    quantile_of,
+    quantiles_of,
 )
 from lierb.studies.description.settings import Setting
 from lierb.studies.description.study import Study
@@ -33,6 +33,7 @@ from lierb.support.arrays import Array
 
 MOST_BODIES = 500  # bodies, at random, over which slopes are means
 ROUNDING = 1e-6  # standard deviations; intervals of equal draws have no width
+MOST_NAMED = 6  # outputs of a setting that a sentence names
 CONSTANT = 1e-12  # range of an output that counts as rounding, relative to its largest number
 
 
@@ -44,7 +45,8 @@ class LinearTheory(NamedTuple):
     linear : percentiles of the linear output over the draws of all bodies.
     sampled : percentiles of the output over the same bodies.
     parts_at : probabilities at which sampling error does not explain the difference of the two: the
-        linear percentile is outside the confidence interval of the sampled one.
+        linear percentile is outside the confidence interval of the sampled one. Empty if quantities
+        are left out, whose share in the sampled percentiles is unknown.
     left_out : reason for each sampled quantity without derivatives.
     """
 
@@ -56,19 +58,6 @@ class LinearTheory(NamedTuple):
     sampled: tuple[Quantile, ...]
     parts_at: tuple[float, ...]
     left_out: dict[str, str]
-
-    @property
-    def warning(self) -> str:
-        """Return the sentence about a linear theory that does not hold; "" if it does."""
-        if not self.parts_at:
-            return ""
-        where = ", ".join(percent(p) for p in self.parts_at)
-        without = ", ".join(self.left_out)
-        return (
-            f"{self.setting.label}: linear theory{f', without {without},' if without else ''} does "
-            f"not hold for {self.name}; at {where} its percentile is outside the "
-            f"{CONFIDENCE:.0%} interval of the sampled one"
-        )
 
 
 class _Output(NamedTuple):
@@ -102,10 +91,27 @@ def linear_theories(
     return [*chain.from_iterable(each)]
 
 
-def left_out(rows: Sequence[LinearTheory]) -> list[str]:
-    """Return a sentence for each sampled quantity without derivatives."""
+def remarks(rows: Sequence[LinearTheory]) -> list[str]:
+    """Return a sentence for each quantity left out, and for each setting in which it fails."""
     reasons = {name: why for each in rows for name, why in each.left_out.items()}
-    return [f"linear theory leaves out {name}: {why}" for name, why in reasons.items()]
+    lines = [f"linear theory leaves out {name}: {why}" for name, why in reasons.items()]
+    if lines:
+        lines.append(
+            "linear percentiles lack what is left out, and are not compared with sampled ones"
+        )
+    parting: dict[Setting, list[str]] = {}
+    for each in rows:
+        if each.parts_at:
+            where = ", ".join(percent(p) for p in each.parts_at)
+            parting.setdefault(each.setting, []).append(f"{each.name} at {where}")
+    for setting, outputs in parting.items():
+        more = len(outputs) - MOST_NAMED
+        named = "; ".join(outputs[:MOST_NAMED]) + (f"; and {more} more" if more > 0 else "")
+        lines.append(
+            f"{setting.label}: linear theory does not hold for {named}: there the linear "
+            f"percentile is outside the {CONFIDENCE:.0%} interval of the sampled one"
+        )
+    return lines
 
 
 def _of_setting(
@@ -123,17 +129,18 @@ def _of_setting(
     along, missing = _along_parameters(study, some, covariances)
     missing |= _noises(study)
     schema = dataset.table().schema
+    independent = study.design.independent(rows["trajectory"][:, 0])
     for output in outputs:
         values = rows[output.column][:, output.item]
         if np.ptp(values) <= CONSTANT * np.abs(rows[output.column]).max():
             continue
         by = _by_parameters(output, study, some)
         slopes = {name: np.mean(by @ weights, axis=0)[0] for name, weights in along.items()}
-        linear = values.mean() + sum(_off(rows, name) @ s for name, s in slopes.items())
+        linear = np.full(len(values), values.mean())
+        linear += sum(_off(rows, name) @ s for name, s in slopes.items())
         percentiles, sampled = (
-            tuple(quantile_of(np.sort(x), p) for p in probabilities) for x in (linear, values)
+            quantiles_of(x, independent, probabilities) for x in (linear, values)
         )
-        rounding = ROUNDING * values.std()
         yield LinearTheory(
             setting,
             output.name,
@@ -141,13 +148,20 @@ def _of_setting(
             _shares(slopes, covariances),
             tuple(q.value for q in percentiles),
             sampled,
-            tuple(
-                q.probability
-                for x, q in zip(percentiles, sampled, strict=True)
-                if x.value < q.low - rounding or x.value > q.high + rounding
-            ),
+            () if missing else _parting(percentiles, sampled, ROUNDING * values.std()),
             missing,
         )
+
+
+def _parting(
+    linear: Sequence[Quantile], sampled: Sequence[Quantile], rounding: float
+) -> tuple[float, ...]:
+    """Return the probabilities of linear percentiles outside the intervals of the sampled ones."""
+    return tuple(
+        q.probability
+        for x, q in zip(linear, sampled, strict=True)
+        if x.value < q.low - rounding or x.value > q.high + rounding
+    )
 
 
 def _noises(study: Study) -> dict[str, str]:
@@ -181,9 +195,9 @@ def _outputs(study: Study) -> Iterator[_Output]:
 
 
 def _rows(dataset: Results, setting: Setting, outputs: Sequence[_Output]) -> dict[str, Array]:
-    """Read outputs, derivatives and draws of the ok bodies without NaN, (n, numbers)."""
+    """Read numbers, outputs, draws and derivatives of the ok bodies without NaN, (n, numbers)."""
     study = dataset.study
-    columns = [output.column for output in outputs]
+    columns = ["trajectory", *(output.column for output in outputs)]
     columns += [_sampled(name) for name in study.design.quantities if name != NOTHING]
     columns += [
         f"{output.of}{SEPARATOR}{name}"
@@ -191,7 +205,7 @@ def _rows(dataset: Results, setting: Setting, outputs: Sequence[_Output]) -> dic
         for name in study.integrate.sensitivities
     ]
     rows = {
-        name: values.reshape(len(values), -1)
+        name: values.reshape(len(values), prod(values.shape[1:]))
         for name, values in ok_columns(dataset, setting, [*dict.fromkeys(columns)]).items()
     }
     known = np.all([np.isfinite(values).all(axis=1) for values in rows.values()], axis=0)

@@ -9,7 +9,7 @@ import numpy as np
 import pyarrow.compute as pc
 
 from lierb.results.columns import as_array
-from lierb.studies.description.quantiles import PROBABILITIES, Quantile, quantile_of
+from lierb.studies.description.quantiles import PROBABILITIES, Quantile, quantiles_of
 from lierb.studies.description.settings import Setting
 from lierb.studies.description.study import Study
 from lierb.studies.findings.columns import ok_columns, rows_of
@@ -37,10 +37,10 @@ def event_names(study: Study) -> list[str]:
     return [each.label for each in study.problem.events]
 
 
-def first_times(dataset: Results, setting: Setting, name: str) -> tuple[Array, int]:
-    """Return when an event first happened to each body, and how often it happened in all.
+def first_times(dataset: Results, setting: Setting, name: str) -> tuple[Array, Array, int]:
+    """Return bodies, when an event first happened to each, and how often it happened in all.
 
-    The times, s, are sorted; ∞ where it did not happen. Failed bodies do not count.
+    Times are in s, ∞ where it did not happen. Failed bodies do not count.
     """
     own = rows_of(setting)
     fine = ok_columns(dataset, setting, ["trajectory"])["trajectory"]
@@ -54,7 +54,7 @@ def first_times(dataset: Results, setting: Setting, name: str) -> tuple[Array, i
     if counted.any():
         at = order[np.searchsorted(fine, bodies[counted], sorter=order)]
         np.minimum.at(first, at, times[counted])
-    return np.sort(first), int(counted.sum())
+    return fine, first, int(counted.sum())
 
 
 def crossings(dataset: Results, probabilities: Sequence[float] = PROBABILITIES) -> list[Occurred]:
@@ -62,8 +62,9 @@ def crossings(dataset: Results, probabilities: Sequence[float] = PROBABILITIES) 
     occurred = []
     for setting in dataset.study.settings:
         for name in event_names(dataset.study):
-            first, count = first_times(dataset, setting, name)
-            quantiles = tuple(quantile_of(first, p) for p in probabilities)
+            own, first, count = first_times(dataset, setting, name)
+            independent = dataset.study.design.independent(own)
+            quantiles = quantiles_of(first, independent, probabilities)
             had = int(np.isfinite(first).sum())
             occurred.append(Occurred(setting, name, count, had, len(first), quantiles))
     return occurred

@@ -17,7 +17,7 @@ from lierb.studies.description.quantiles import (
     PROBABILITIES,
     Quantile,
     fractions,
-    quantile_of,
+    quantiles_of,
 )
 from lierb.studies.description.settings import Setting
 from lierb.studies.findings.columns import ok_columns, rows_of
@@ -34,6 +34,7 @@ class Spread(NamedTuple):
     """Hold the quantiles of a quantity over the bodies in one setting.
 
     bodies : number of ok bodies with a number.   undefined : number of ok bodies with NaN.
+    quantiles : see `quantiles_of`.
     """
 
     setting: Setting
@@ -59,11 +60,13 @@ def quantities(dataset: Results, probabilities: Sequence[float] = PROBABILITIES)
     spreads = []
     for setting in dataset.study.settings:
         for name in columns + _observed_columns(dataset):
-            values = ok_columns(dataset, setting, [name])[name]
-            ordered = np.sort(values[~np.isnan(values)])
-            quantiles = tuple(quantile_of(ordered, p) for p in probabilities)
-            unit, undefined = unit_of(schema.field(name)), len(values) - len(ordered)
-            spreads.append(Spread(setting, name, unit, len(ordered), undefined, quantiles))
+            rows = ok_columns(dataset, setting, ["trajectory", name])
+            is_number = ~np.isnan(rows[name])
+            values, bodies = rows[name][is_number], rows["trajectory"][is_number]
+            own = dataset.study.design.independent(bodies)
+            quantiles = quantiles_of(values, own, probabilities)
+            unit, undefined = unit_of(schema.field(name)), len(is_number) - len(values)
+            spreads.append(Spread(setting, name, unit, len(values), undefined, quantiles))
     return spreads
 
 

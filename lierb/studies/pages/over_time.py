@@ -114,10 +114,10 @@ def event_sheet(dataset: Results) -> Sheet:
 def _draw_event(dataset: Results, shown: list[Look], name: str, panel: Axes) -> None:
     run = dataset.study.integrate
     for look in shown:
-        first, _ = first_times(dataset, look.setting, name)
+        _, first, _ = first_times(dataset, look.setting, name)
         if not first.size:
             continue
-        had = first[np.isfinite(first)]
+        had = np.sort(first[np.isfinite(first)])
         ranks = np.unique(np.linspace(1, len(had), RANKS).astype(int))[: len(had)]
         times = np.concatenate([[run.t0], had[ranks - 1], [run.t_end]])
         share = np.concatenate([[0], ranks, [len(had)]]) / len(first)

@@ -15,12 +15,12 @@ from lierb.analysis.magnitudes import kinds_of
 from lierb.analysis.prediction import Prediction, joint_by_joint, predict
 from lierb.errors import LierbError
 from lierb.results.columns import as_array, unit_of
-from lierb.studies.description.quantiles import CONFIDENCE, PROBABILITIES, percent
+from lierb.studies.description.quantiles import BASIS, CONFIDENCE, PROBABILITIES, percent
 from lierb.studies.description.settings import Setting
 from lierb.studies.description.study import Study
 from lierb.studies.findings import findings
 from lierb.studies.findings.columns import drawn_columns, ok_columns
-from lierb.studies.findings.linear_theory import left_out
+from lierb.studies.findings.linear_theory import remarks
 from lierb.studies.findings.ranking import Ranking, rankings
 from lierb.studies.findings.sizes import errors_seen
 from lierb.studies.findings.tables import form_of, named, shares_of, with_interval
@@ -112,11 +112,12 @@ def _values(
         "confidence": f"{CONFIDENCE:.0%}",
         "labels": {k: label for k, label in findings.LABELS.items() if k in (*kinds, "energy")},
         "errors": findings.findings(dataset),
+        "basis": BASIS.get(study.sample.method, ""),
         "quantities": findings.quantities(dataset, probabilities),
         "events": findings.crossings(dataset, probabilities),
         "indices": findings.indices(dataset),
         "theory": theory,
-        "left_out": left_out(theory),
+        "remarks": remarks(theory),
         "figures": list(sheets(dataset, rank_by)),
         "captions": CAPTIONS,
         "titles": TITLES,

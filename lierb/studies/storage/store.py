@@ -85,12 +85,14 @@ class Store(Results):
     # ---- study -----------------------------------------------------------------------------------
 
     def begin(
-        self, study: Study, text: str, parts: int, changes: Mapping[str, Any] | None = None
-    ) -> None:
-        """Write the manifest of a study without parts, its study.toml and its Python files.
+        self, study: Study, text: str, parts: int, changes: Mapping[str, Any] | None = None,
+        kept: Mapping[str, Any] | None = None,
+    ) -> None:  # fmt: skip
+        """Write the manifest of a study, its study.toml and its Python files.
 
-        text : of study.toml.   parts : number of parts.   Files of an earlier study without parts
-        are replaced. Raises StudyError for a study.toml or Python file of the user's that differs.
+        text : of study.toml.   parts : number of parts.   kept : parts of an earlier study that are
+        parts of this one, none by default. Files of the earlier study are replaced. Raises
+        StudyError for a study.toml or Python file of the user's that differs.
         """
         begun = self.manifest.get("code", {}) | {STUDY: self.manifest.get("text")}
         self.drop([f for f, sha256 in begun.items() if sha256 == sha256_of(self.folder / f)])
@@ -99,7 +101,8 @@ class Store(Results):
         self.manifest = {
             "format": FORMAT, "digest": study.digest(),
             "text": None if is_there else sha256_of_text(text), "study": study.model_dump(),
-            "set": dict(changes or {}), "machine": machine(), "asked": parts, "parts": {},
+            "set": dict(changes or {}), "machine": self.manifest["machine"] if kept else machine(),
+            "asked": parts, "parts": dict(kept or {}),
         }  # fmt: skip
         if moved := moved_start(study):
             self.manifest["moved"] = moved

@@ -132,7 +132,7 @@ class InitialSection(Section):
     """Start: velocity by `omega` and `point_velocity`, `twist` or `velocities`; pose as below.
 
     coordinates, velocities : joint coordinates, in the order of `Joint.coordinate_names`, and their
-        rates.
+        rates; a number for a single coordinate.
     rotation, place : 3×3, and m; joint frame of the body relative to that of the ground.
     close : for a mechanism, which has no other key here but `hold`. "auto" moves poses and twists
         that violate constraints to the nearest consistent ones in the mass metric; "never" leaves
@@ -145,7 +145,7 @@ class InitialSection(Section):
     omega: Vector | None = None
     point_velocity: Vector | None = None
     twist: Twist | None = None
-    velocities: list[float] | None = None
-    coordinates: list[float] | None = None
+    velocities: float | list[float] | None = None
+    coordinates: float | list[float] | None = None
     rotation: list[Vector] | None = None
     place: Vector | None = None
