@@ -17,7 +17,7 @@ from lierb.kernels.systems.layout import END, FEW_DIRECTIONS, MANY_DIRECTIONS, C
 from lierb.kernels.systems.observables import DIFFERENTIATED, KEEPS
 from lierb.kernels.systems.plan import AnyPlan
 from lierb.kernels.systems.signals import events_of
-from lierb.kernels.systems.state import EVENT, OK
+from lierb.kernels.systems.state import DT_MIN, EVENT, MAX_STEPS, OK
 from lierb.kernels.systems.system_of import plan_with_derivatives
 from lierb.model.base import Model
 from lierb.runs import engine
@@ -310,7 +310,7 @@ def _of_statistics(outputs: list[Output]) -> Array:
 
     Those of a failed trajectory are NaN.
     """
-    plan, ok = outputs[0].plan, np.isin(outputs[0].status, (OK, EVENT))
+    plan, ok = outputs[0].plan, np.isin(outputs[0].status, (OK, MAX_STEPS, DT_MIN, EVENT))
     count = kept_derivatives(plan) * plan.directions
     rows = [each.end_derivatives[len(each.end_derivatives) - count :] for each in outputs]
     parts = [each.reshape(-1, plan.directions, len(ok)) for each in rows]

@@ -64,4 +64,5 @@ def _require_free(
             raise ArgumentError(
                 f"{what}: {name} would have the column {column}, which is {owner}; {remedy}"
             )
-    owners |= dict.fromkeys((column.lower() for column in columns), f"that of {name}")
+    kind = "observable" if what == "observables" else "state or output"
+    owners |= dict.fromkeys((column.lower() for column in columns), f"that of the {kind} {name}")
