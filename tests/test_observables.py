@@ -233,8 +233,8 @@ def test_observables_may_not_have_the_names_of_columns(watched):
         (["cspace"], "column cspace, "),
         (["v_x"], "column v_x, "),
         (["lambda_1"], "column lambda_1, "),
-        (["pointing", "Pointing"], "column Pointing, which is that of pointing"),
-        (["pointing", "pointing_mean"], "pointing_mean, which is that of pointing"),
+        (["pointing", "Pointing"], "column Pointing, which is that of the observable pointing"),
+        (["pointing", "pointing_mean"], "pointing_mean, which is that of the observable pointing"),
     ],
 )
 def test_observable_refuses_names_that_clash(names, clash):

@@ -370,7 +370,7 @@ def taken(t):
         ({"states": [wheel_and_filter(tau=1.0), other_wheel()]}, "two are named wheel, of wheel_"),
         ({"states": [wheel_and_filter(tau=1.0), shouting()]}, "two are named torque, of shouting"),
         ({"states": [wheel_and_filter(tau=1.0), taken()]}, "energy, which is lierb's own"),
-        ({"states": [wheel_and_filter(tau=1.0), observed_too()]}, "STORED, which is that of store"),
+        ({"states": [wheel_and_filter(tau=1.0), observed_too()]}, "STORED, which is that of the"),
         ({"events": [landing(), landing()]}, 'two events are named landing.*named\\("…"\\)'),
         ({"states": ()}, "states has no wheel; it has nothing"),
         ({"events": landing}, r"events\[0\] is the function landing; call it"),
