@@ -455,7 +455,10 @@ def test_arm_stands_where_its_origins_put_it():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("name", "allowed"), [("double_pendulum.xml", 1e-9), ("arm.urdf", 1e-9)])
+@pytest.mark.parametrize(
+    ("name", "allowed"),
+    [pytest.param("double_pendulum.xml", 1e-9, marks=pytest.mark.long), ("arm.urdf", 1e-9)],
+)
 def test_trajectories_are_those_of_mujoco(name, allowed):
     """Both by RK4 at 0.1 ms, whose own error is below 1e-12 here; joint springs and dampers act."""
     mechanism, _ = read(DATA / name, merge_fixed=True)
@@ -647,7 +650,9 @@ def test_other_joints_allow_the_same_poses(tmp_path, name):
     [
         '<joint axis="1 0 0"/><joint axis="1 0 0" pos="0 0.3 0"/>',  # parallel hinges
         '<joint axis="1 0 0"/><joint axis="0 1 0" pos="0 0 0.3"/>',  # that do not meet
-        '<joint axis="1 0 0"/><joint axis="1 1 0"/>',  # not at right angles
+        pytest.param(  # not at right angles
+            '<joint axis="1 0 0"/><joint axis="1 1 0"/>', marks=pytest.mark.long
+        ),
         '<joint type="slide" axis="1 0 0"/><joint axis="1 1 0"/>',  # askew
         '<joint type="ball"/><joint type="slide" axis="1 0 0"/>',
         pytest.param(  # a universal joint, about whose axes no spring acts

@@ -216,7 +216,7 @@ def test_replay_has_the_studys_row_and_events(whole):
     assert "rotation" in tables["history"].column_names
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_options_of_a_replay_repeat_its_run(whole, tmp_path):
     """With its noise, first time, breaks and rows: the study's numbers, by `lierb.integrate`."""
     more = {"sample.n": 6, "integrate.t0": 1.0, "integrate.discontinuities": [2.3]}

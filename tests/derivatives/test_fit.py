@@ -550,7 +550,7 @@ def test_quaternions_may_be_rounded_and_of_either_sign():
     assert not column.present[2].any()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_printed_fit_shows_the_pose_and_what_the_joint_holds():
     """The rotation vector of a hinge about y at angle φ is (0, φ, 0)."""
     data = data_of(swung(), "omega", noise=1e-2)

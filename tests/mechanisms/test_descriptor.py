@@ -136,7 +136,7 @@ FORMS = [
 ]
 
 
-@pytest.mark.parametrize("model", [pendulum, driven])
+@pytest.mark.parametrize("model", [pytest.param(pendulum, marks=pytest.mark.long), driven])
 @pytest.mark.parametrize(("method", "cspace"), FORMS)
 def test_pendulum_has_the_order(method, cspace, model):
     """Pose, velocity, work and λ; beside RK4, whose steps of 0.5 ms leave 1e-10 and less."""
