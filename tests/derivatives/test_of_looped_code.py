@@ -136,7 +136,7 @@ def moving(mechanism):
     return {"pose0": pose0, "twist0": mechanism.twist({"link0": 1.0, "link9": -2.0}, pose0)}
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_derivatives_of_an_arm_are_those_of_differences_and_keep_its_energy():
     names = ["link4.body.mass", STIFFNESS, "link9.twist0"]
     options = {"rtol": 1e-11, "method": "Tsit5", "t_end": 0.5}

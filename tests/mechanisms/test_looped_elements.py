@@ -111,13 +111,8 @@ def test_events_are_found_at_the_times_of_unrolled_code():
             np.testing.assert_array_equal(first, second, err_msg=name)
 
 
-@pytest.mark.parametrize(
-    "solver",
-    [
-        pytest.param("looped", marks=pytest.mark.slow),
-        pytest.param("unrolled", marks=pytest.mark.long),
-    ],
-)
+@pytest.mark.long
+@pytest.mark.parametrize("solver", ["looped", "unrolled"])
 def test_steps_end_at_stops(solver):
     """A step that passed over a stop would lose its energy."""
     result = by(solver)
