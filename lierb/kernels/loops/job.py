@@ -29,7 +29,7 @@ RESULTS = {
     "reactions": "[joint, time][trajectory][component]",
     "ends": "[`end_columns`, then their column, direction][trajectory]",
     "derivatives": "[column, direction][time][trajectory], of `derivative_columns`",
-    "end_derivatives": "[column, direction, then column][trajectory], those in time last",
+    "end_derivatives": "[row][trajectory], see `lierb.runs.output.Output`",
 }
 ARRAYS = {
     "addresses": "int64, [column of inputs][address for the first trajectory, bytes to the next]",

@@ -137,19 +137,28 @@ def parts_of(
     plan: AnyPlan, body: Any, state: State, moved: State, trial: Trial, accepted: Any
 ) -> Part:
     """Return the first part, which is open in every accepted step."""
-    if not events_of(plan):
+    watched = UserEvent if events_of(plan) else None
+    return first_part(plan, body, state, moved, trial, accepted, watched, MOST_PARTS)
+
+
+def first_part(
+    plan: AnyPlan, body: Any, state: State, moved: State, trial: Trial, accepted: Any,
+    watched: type | None, most: int,
+) -> Part:  # fmt: skip
+    """Return the first of a step's parts; see `parts_to_watch`.   watched : None for no search."""
+    if watched is None:
         return Part(accepted, accepted, accepted, accepted)  # never
-    count = parts_to_watch(plan, body, state, moved, trial, UserEvent, MOST_PARTS)
-    return part_of(0.0 * count, count, accepted)
+    count = parts_to_watch(plan, body, state, moved, trial, watched, most)
+    return _part(0.0 * count, count, accepted)
 
 
 def next_part(part: Part, termination: Any) -> Part:
     """Return the next part, open where it exists and the trajectory has not ended."""
     is_open = (part.open > 0.5) & (part.is_last < 0.5) & (termination == 0.0)
-    return part_of(part.index + 1.0, part.count, where(is_open, 1.0, 0.0 * termination))
+    return _part(part.index + 1.0, part.count, where(is_open, 1.0, 0.0 * termination))
 
 
-def part_of(index: Any, count: Any, is_open: Any) -> Part:
+def _part(index: Any, count: Any, is_open: Any) -> Part:
     return Part(index, count, is_open, where(index + 1.0 >= count, 1.0, 0.0 * index))
 
 

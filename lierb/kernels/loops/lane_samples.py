@@ -31,8 +31,8 @@ from lierb.kernels.numbers.arithmetic import (
     where,
 )
 from lierb.kernels.numbers.dual import values
+from lierb.kernels.numbers.vec import Vec
 from lierb.kernels.stepping.lane_clock import Trial
-from lierb.kernels.stepping.travel import parts_to_watch
 from lierb.kernels.systems.combine import NAN
 from lierb.kernels.systems.derivatives import completed, on_values
 from lierb.kernels.systems.extra_states import with_signals
@@ -121,10 +121,8 @@ def stretches(
     plan: AnyPlan, body: Any, state: State, moved: State, trial: Trial, accepted: Any
 ) -> Part:
     """Return the first part of a step, which is open in every accepted step."""
-    if not plan.samples:
-        return Part(accepted, accepted, accepted, accepted)  # never
-    count = parts_to_watch(plan, body, state, moved, trial, UserObservable, MOST_PARTS)
-    return inner.part_of(0.0 * count, count, accepted)
+    watched = UserObservable if plan.samples else None
+    return inner.first_part(plan, body, state, moved, trial, accepted, watched, MOST_PARTS)
 
 
 def node(part: Part, at: Any) -> Any:
@@ -203,16 +201,12 @@ def put_extreme(
         return
     y = [sign * load(samples, (k, observable, 0), plan.lanes) for k in range(len(NODES))]
     known = sign * load(samples, (known, observable, 0), plan.lanes)
-    low = mid = high = (NODES[0] + 0.0 * y[0], y[0])
-    least = y[0]
-    for k, u in enumerate(NODES):
-        after = min(k + 1, LAST)
-        here = (low, (NODES[max(k - 1, 0)], y[max(k - 1, 0)]), (NODES[after], y[after]))
-        is_higher = y[k] > mid[1] if k else y[k] == y[k]
-        low = where(is_higher, here[1], low)
-        high = where(is_higher, here[2], high)
-        mid = where(is_higher, (u, y[k]), mid)
-        least = minimum(least, y[k])
+    points, least = [*zip(NODES, y, strict=True)], y[0]
+    low, mid, high = points[0], points[0], points[1]
+    for before, here, after in zip(points, points[1:], (*points[2:], points[-1]), strict=False):
+        is_higher = here[1] > mid[1]
+        low, mid, high = where(is_higher, (before, here, after), (low, mid, high))
+        least = minimum(least, here[1])
     extent = mid[1] - least
     is_near = (mid[1] + OVERSHOOT * extent > known) & (part.open > 0.5)
     at, value = branch(
@@ -220,9 +214,7 @@ def put_extreme(
     )
     is_new = is_near & (value > maximum(known, mid[1]) + GAIN * extent) & (absolute(at) < 1.0)
     is_new = is_new & (low[0] < at) & (at < high[0])
-    numbers = (*low, mid[0], mid[1], *high, extent)
-    for row, number in enumerate(numbers, BRACKET):
-        store(samples, (row, observable, 0), number, plan.lanes)
+    _put_bracket(plan, samples, observable, (*low, *mid, *high, extent))
     _put_next(plan, rows, part, at, is_new)
 
 
@@ -238,8 +230,8 @@ def put_narrower(
     """
     if not plan.samples:
         return
-    numbers = [load(samples, (r, observable, 0), plan.lanes) for r in range(BRACKET, ROWS)]
-    low, mid, high, extent = (*numbers[:2],), (*numbers[2:4],), (*numbers[4:6],), numbers[6]
+    numbers = tuple(load(samples, (r, observable, 0), plan.lanes) for r in range(BRACKET, ROWS))
+    low, mid, high, extent = numbers[:2], numbers[2:4], numbers[4:6], numbers[6]
     selected = row_of(plan, rows, ws.SELECTED) > 0.5
     at = 2.0 * row_of(plan, rows, ws.THETA) - 1.0
     seen = at, sign * load(samples, (AT_EXTREME, observable, 0), plan.lanes)
@@ -257,9 +249,13 @@ def put_narrower(
     at = mid[0] + where(halves > 0.5, 0.5 * larger, -0.5 * slope / bend)
     goes_on = selected & (bend < 0.0) & (gain > GAIN * extent)
     goes_on = goes_on & (low[0] < at) & (at < high[0]) & ((at < mid[0]) | (at > mid[0]))
-    for row, number in enumerate((*low, *mid, *high, extent), BRACKET):
-        store(samples, (row, observable, 0), number, plan.lanes)
+    _put_bracket(plan, samples, observable, (*low, *mid, *high, extent))
     _put_next(plan, rows, part, at, goes_on)
+
+
+def _put_bracket(plan: AnyPlan, samples: Any, observable: Any, numbers: Vec) -> None:
+    for row, number in enumerate(numbers, BRACKET):
+        store(samples, (row, observable, 0), number, plan.lanes)
 
 
 def _put_next(plan: AnyPlan, rows: Any, part: Part, at: Any, selected: Any) -> None:
