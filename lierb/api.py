@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Iterable, Mapping
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -17,7 +18,13 @@ from lierb.model.base import Model
 from lierb.model.functions.events import Event
 from lierb.model.mechanism.mechanism import Mechanism
 from lierb.model.problem import Problem
-from lierb.results.failures import STATUS_NAMES, Failures, warn_of, warn_of_motors
+from lierb.results.failures import (
+    STATUS_NAMES,
+    Failures,
+    has_position_motors,
+    warn_of,
+    warn_of_motors,
+)
 from lierb.results.result import Result
 from lierb.results.sensitivities import Untabled, sensitivities
 from lierb.results.tables import (
@@ -314,7 +321,8 @@ def integrate_model(
         failures = Failures.of(result.summary)
         look = f"`failed` of the result lists them{unfit_function(prepared, output)}"
         warn_of(failures, look, stacklevel=stacklevel + 1)
-    warn_of_motors(model, result.summary, stacklevel=stacklevel + 1)
+    if has_position_motors(model):
+        warn_of_motors(model, result.summary, stacklevel=stacklevel + 1)
     return result
 
 
@@ -379,7 +387,7 @@ def _result(
         if has_tables:
             of_run = sensitivities(derivatives, output, model, history, events, metadata)
     return Result(
-        summary_table(output, metadata, model),
+        partial(summary_table, output, metadata, model),
         history,
         End(model, plan, output, STATUS_NAMES, metadata, derivatives and derivatives.state),
         events,

@@ -168,13 +168,17 @@ def warn_of(failures: Failures | None, look: str, **options: Any) -> None:
         warnings.warn("\n  ".join(lines), FailedTrajectoryWarning, **options)
 
 
+def has_position_motors(model: Model) -> bool:
+    """Return whether motors prescribe positions of joints."""
+    return any(isinstance(force.kind, PositionMotor) for force in model.forces)
+
+
 def warn_of_motors(model: Model, summary: pa.Table, **options: Any) -> None:
     """Issue one InconsistentStateWarning if joints are far off the positions of their motors.
 
     options : keywords of `warnings.warn`.
     """
-    has_motors = any(isinstance(force.kind, PositionMotor) for force in model.forces)
-    if not has_motors or are_warnings_collected():
+    if are_warnings_collected():
         return
     length = max(float(np.max(length_of(model.parameters(at)))) for at in model.joints if at.joint)
     alive = ~has_failed(summary)

@@ -34,7 +34,7 @@ TABLES = ("summary", "history", "events")
 OBSERVED = "observables"  # key in the metadata's description of the problem
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, repr=False, eq=False)
 class Result(RunStates):
     """Tables that `integrate` returns, and the state in them as NumPy arrays.
 

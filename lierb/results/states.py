@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from dataclasses import dataclass, field, fields
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -33,12 +34,27 @@ NAMED = 3  # most links named in a message
 LARGEST = ("position_error", "rotation_error", "energy_drift")
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, repr=False, eq=False)
 class States(Represented):
-    """State of one body or link as NumPy arrays, read from the tables of a run."""
+    """State of one body or link as NumPy arrays, read from the tables of a run.
 
-    summary: pa.Table
+    _summary : the table, or a function that makes it, which takes a third of a call for one body.
+    """
+
+    _summary: pa.Table | Callable[[], pa.Table]
     history: pa.Table | None
+
+    @cached_property
+    def summary(self) -> pa.Table:
+        """Table with one row for each trajectory."""
+        return self._summary() if callable(self._summary) else self._summary
+
+    def __eq__(self, other: object) -> bool:
+        """Return whether two results have equal tables."""
+        compared = [each.name.lstrip("_") for each in fields(self) if each.compare]
+        return type(other) is type(self) and all(
+            getattr(self, name) == getattr(other, name) for name in compared
+        )
 
     if not TYPE_CHECKING:
 
@@ -115,7 +131,7 @@ class States(Represented):
         return f"({', '.join(map(str, (*times, self.summary.num_rows)))}, …)"
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, repr=False, eq=False)
 class LinkResult(States):
     """Motion of one link of a mechanism, `result["rod"]`, with the arrays of `Result`.
 
@@ -211,7 +227,7 @@ def _column(column: pa.ChunkedArray) -> Array:
     return np.array(column.to_pylist(), dtype=object) if is_text else as_array(column)
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, repr=False, eq=False)
 class RunStates(States):
     """Tables of a whole run, the states of its body or links, and the run's end.
 

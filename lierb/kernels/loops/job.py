@@ -101,7 +101,8 @@ def job_of(arrays: Mapping[str, NDArray], numbers: Mapping[str, float]) -> bytes
     content = _EMPTY.copy()
     for name, array in arrays.items():
         at, shape = _OFFSETS[name], array.shape
-        content[at : at + 4] = array.__array_interface__["data"][0], *shape, *_ONES[len(shape)]
+        address = array.__array_interface__["data"][0] if array.size else 0
+        content[at : at + 4] = address, *shape, *_ONES[len(shape)]
     for name, number in numbers.items():
         content[_OFFSETS[name]] = number
     return _PACKED.pack(*content)
