@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lierb.analysis.varied_runs import options_and_threads
-from lierb.api import checked_model, report_start, start_check
+from lierb.api import checked_model, integrate_model, report_start, start_check
 from lierb.errors import ArgumentError, FailedTrajectoryWarning, unknown_name
 from lierb.kernels.loops.gains import END_TIME
 from lierb.kernels.systems.system_of import plan_with_derivatives
@@ -86,7 +86,8 @@ def gradient(
     """Differentiate one number at the end of a run by its start and all numbers of the model.
 
     The cost does not depend on the number of parameters: it is that of about four runs. For few
-    parameters or many numbers, take `with_respect_to` of `integrate`.
+    parameters or many numbers, take `with_respect_to` of `integrate`. Looped code has no adjoint;
+    its gradients take about two runs for each number of the parameters.
 
     Parameters
     ----------
@@ -120,8 +121,7 @@ def gradient(
     Raises
     ------
     LierbError
-        An argument is wrong, or the run has no adjoint: its code is looped, or a function runs
-        body by body.
+        An argument is wrong, or a function runs body by body.
     MemoryLimitError
         Gradients are larger than the free memory.
 
@@ -170,6 +170,8 @@ def gradient(
     for obstacle in reasons:
         raise ArgumentError(f"lierb.gradient: {obstacle}")
     number = _number(model, of)
+    if prepared.plan.is_in_memory:
+        return _along_directions(model, of, parameters, keywords, pose0, twist0, threads, progress)
     warn_of_switches(model, stacklevel=3)
     warn_of_stiff_steps(prepared, stacklevel=3)
     report_start(prepared, 3)
@@ -224,8 +226,33 @@ def _obstacles(prepared: Ready) -> Iterator[str]:
             "the start is the end of another run, from which an adjoint does not go back; begin "
             "with a copy of its poses, pose0=pose0.copy()"
         )
-    if prepared.plan.is_in_memory:
-        yield 'looped code has no adjoint; take solver="unrolled", or integrate(with_respect_to=…)'
+
+
+def _along_directions(
+    model: Model,
+    of: str,
+    parameters: tuple[Parameter, ...],
+    keywords: dict[str, Any],
+    pose0: Any,
+    twist0: Any,
+    threads: int | None,
+    progress: Progress,
+) -> Gradient:
+    """Return the gradient from derivatives along all directions, for looped code."""
+    if of == ENERGY:
+        if any(event.terminal for event in model.events):
+            raise ArgumentError(
+                "lierb.gradient: looped code saves the energy at t_end alone, and a terminal event "
+                'may end the run before; take an observable, or solver="unrolled"'
+            )
+        keywords = keywords | {"save_at": [keywords["t_end"]], "record": ENERGY}
+    result = integrate_model(
+        model, Options.of(model, **keywords), pose0, twist0, with_respect_to=parameters,
+        threads=threads, progress=progress, stacklevel=4,
+    )  # fmt: skip
+    value = result[ENERGY][-1] if of == ENERGY else result["t" if of == "t" else f"{of}_final"]
+    parts = {p.name: result.sensitivity(of, p.name).reshape(-1, p.size) for p in parameters}
+    return Gradient(of, value, parts, {p.name: p.unit for p in parameters})
 
 
 def _part(parameter: Parameter, prepared: Ready, start: Any, gains: Array) -> Array:

@@ -331,14 +331,47 @@ def test_options_that_are_none_are_refused():
         lierb.gradient(top(), "aim", "body.size", **START, **STEPS)
 
 
-def test_looped_code_is_refused():
-    links = [
-        lierb.Link(f"l{i}", lierb.bodies.rod(0.2, 0.01, mass=0.3), lierb.joints.revolute(), parent)
-        for i, parent in enumerate(("ground", "l0"))
-    ]
-    chain = lierb.Mechanism(links)
-    with pytest.raises(lierb.errors.ArgumentError, match="looped code has no adjoint"):
-        lierb.gradient(chain, "energy", dt=0.1, t_end=0.2, solver="looped")
+@lierb.event(terminal=True)
+def fallen(R):
+    return R[0, 0] - 0.5
+
+
+@lierb.observable
+def swing(omega, R):
+    return omega[1] ** 2 + R[0, 2]
+
+
+def chain(**more) -> lierb.Mechanism:
+    first = lierb.joints.revolute(axis=(0.0, 1.0, 0.0), body_point=(-0.1, 0.0, 0.0))
+    second = lierb.joints.revolute(
+        axis=(0.1, 1.0, 0.0), body_point=(-0.1, 0.0, 0.0), ground_point=(0.1, 0.0, 0.0)
+    )
+    upper = lierb.Link("upper", lierb.bodies.rod(0.2, 0.01, mass=0.3), first)
+    lower = lierb.Link("lower", lierb.bodies.rod(0.2, 0.01, mass=0.4), second, "upper")
+    observed = {"observables": swing().on("lower")} | more
+    return lierb.Mechanism([upper, lower], gravity=(0.0, 0.0, -9.81), **observed)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("of", ["swing", "energy"])
+def test_looped_code_has_the_gradients_of_unrolled_code(of):
+    mechanism = chain()
+    start = {"twist0": mechanism.twist({"upper": 1.0, "lower": -2.0})}
+    run = start | {"dt": 0.01, "t_end": 0.3}
+    ahead = lierb.gradient(mechanism, of, solver="looped", **run)
+    back = lierb.gradient(mechanism, of, solver="unrolled", **run)
+    assert ahead.value == pytest.approx(back.value, rel=1e-12)
+    assert ahead.parts.keys() == back.parts.keys()
+    for name, part in back.parts.items():
+        size = max(np.abs(part).max(), 1.0)
+        assert ahead[name] == pytest.approx(part, abs=1e-10 * size), name
+
+
+def test_the_energy_at_an_event_is_refused_in_looped_code():
+    with pytest.raises(lierb.errors.ArgumentError, match="looped code saves the energy at t_end"):
+        lierb.gradient(
+            chain(events=fallen().on("lower")), "energy", dt=0.1, t_end=0.2, solver="looped"
+        )
 
 
 def test_a_start_off_its_joint_is_refused():
