@@ -232,8 +232,8 @@ class Experiments:
             rows = np.empty((len(which), *off.shape[::2], width))
             first = 0
             for p in parameters:
-                derivative = own.derivative(result, p, slope)
-                rows[..., first : first + p.size] = derivative.swapaxes(0, 1)
+                part = rows[..., first : first + p.size]
+                own.derivative(result, p, slope, out=part.swapaxes(0, 1))
                 first += p.size
             rows[..., -1] = (off / own.sigma).swapaxes(0, 1)
             if not own.present.all():

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from math import prod
 from typing import NamedTuple
 
@@ -94,8 +94,7 @@ class Untabled:
         """Return the derivatives of a quantity by a parameter; see `Result.sensitivity`."""
         quantity, directions = self._quantities[of], self._directions[with_respect_to]
         rows = self._derivatives.rows_of(quantity.part, directions)
-        by_time = np.moveaxis(rows, (0, 1), (2, 3))
-        return by_time.reshape(*by_time.shape[:2], *quantity.shape, -1)
+        return rows.reshape(*rows.shape[:2], *quantity.shape, -1)
 
 
 def _names(table: pa.Table, which: int) -> tuple[str, ...]:
@@ -127,29 +126,29 @@ def sensitivities(
     count = len(output.status)
     columns = {"trajectory": numbers(np.arange(count, dtype=np.int64)), "t": numbers(output.t)}
     fields = [pa.field(name, array.type) for name, array in columns.items()]
-    ends = [*_columns(derivatives, derivatives.ends, model)]
+    ends = [*_columns(derivatives, _chosen(derivatives.ends), model)]
     named = ((each, of) for each in model.observables for of in DIFFERENTIATED)
     for i, (each, of) in enumerate(named):
         statistic = _Quantity(f"{each.name}_{of}", slice(i, i + 1), (), each.unit)
-        ends += _of(derivatives, statistic, derivatives.statistics[statistic.part])
+        ends += _of(derivatives, statistic, _chosen(derivatives.statistics))
     if any(event.terminal for event in model.events):
-        ends += _of(derivatives, TIME, derivatives.times[None])
+        ends += _of(derivatives, TIME, _chosen(derivatives.times[None]))
     first = [*zip(fields, columns.values(), strict=True)]
     tables: list[pa.Table | None] = [_table(first, ends, metadata), None, None]
     if history is not None:
-        rows = derivatives.rows.reshape(*derivatives.rows.shape[:2], -1)
         same = _same(history, ("trajectory", "step", "t"))
-        tables[1] = _table(same, [*_columns(derivatives, rows, model)], metadata)
+        tables[1] = _table(same, [*_columns(derivatives, derivatives.rows_of, model)], metadata)
     if events is not None:
         at_events = [
-            *_columns(derivatives, derivatives.events, model),
-            *_of(derivatives, TIME, derivatives.event_times[None]),
+            *_columns(derivatives, _chosen(derivatives.events), model),
+            *_of(derivatives, TIME, _chosen(derivatives.event_times[None])),
         ]
         tables[2] = _table(_same(events, ("trajectory", "event", "t")), at_events, metadata)
     return Sensitivities(*tables)
 
 
 Column = tuple[pa.Field, pa.Array]
+Choice = Callable[[slice, slice], Array]  # derivatives of columns along directions, […, of, by]
 
 
 def _same(table: pa.Table, names: Sequence[str]) -> list[Column]:
@@ -161,20 +160,24 @@ def _table(first: list[Column], rest: list[Column], metadata: str) -> pa.Table:
     return pa.Table.from_arrays(list(arrays), schema=pa.schema(fields, {"lierb": metadata}))
 
 
-def _columns(derivatives: Derivatives, array: Array, model: Model) -> Iterator[Column]:
-    """Yield the columns of all quantities.   array : [column][direction][row]."""
+def _chosen(array: Array) -> Choice:
+    """Return a choice of [column][direction][row]."""
+    return lambda of, by: np.moveaxis(array[of, by], -1, 0)
+
+
+def _columns(derivatives: Derivatives, chosen: Choice, model: Model) -> Iterator[Column]:
+    """Yield the columns of all quantities."""
     for quantity in _quantities(derivatives.columns, model):
-        yield from _of(derivatives, quantity, array[quantity.part])
+        yield from _of(derivatives, quantity, chosen)
 
 
-def _of(derivatives: Derivatives, quantity: _Quantity, array: Array) -> Iterator[Column]:
-    """Yield a column for each parameter.   array : [number][direction][row]."""
-    first = 0
+def _of(derivatives: Derivatives, quantity: _Quantity, chosen: Choice) -> Iterator[Column]:
+    """Yield a column for each parameter."""
+    directions = slices_of(derivatives.parameters)
     for p in derivatives.parameters:
-        part = np.moveaxis(array[:, first : first + p.size], -1, 0)
-        first += p.size
-        flat = np.ascontiguousarray(part.reshape(len(part), prod(part.shape[1:])))
-        column = vectors(flat)
+        part = chosen(quantity.part, directions[p.name])
+        flat = part.reshape(prod(part.shape[:-2]), prod(part.shape[-2:]))
+        column = vectors(np.ascontiguousarray(flat))
         shape = ", ".join(map(str, (*quantity.shape, p.size)))
         described = {UNIT: quantity.unit, PER: p.unit, SHAPE: shape}
         name = f"{quantity.name}{SEPARATOR}{p.name}"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import chain
 from typing import Any, NamedTuple
@@ -41,7 +41,7 @@ class Derivatives(NamedTuple):
     """Derivatives of a run along all directions of its parameters.
 
     columns : differentiated quantities, `lierb.kernels.systems.derivatives.derivative_columns`.
-    parts : of the history, [column][direction][time][trajectory], of a few directions each; the
+    parts : of the history, [time][trajectory][column][direction], of a few directions each; the
     last one may have more than there are.
     ends : at the end of each trajectory, [column][direction][trajectory].
     times : of the end times, s, [direction][trajectory]; zero but for ends by events.
@@ -62,19 +62,14 @@ class Derivatives(NamedTuple):
     event_times: Array
     state: EndDerivatives
 
-    @property
-    def rows(self) -> Array:
-        """Return the derivatives of the history, [column][direction][time][trajectory]."""
-        return np.concatenate(self.parts, axis=1)[:, : len(self.times)]
-
     def rows_of(self, columns: slice, directions: slice) -> Array:
-        """Return the derivatives of some columns along some directions, likewise."""
-        abreast = self.parts[0].shape[1]
+        """Return derivatives of the history, [time][trajectory][column][direction]."""
+        abreast = self.parts[0].shape[3]
         first, last = directions.start // abreast, (directions.stop - 1) // abreast
-        parts = [part[columns] for part in self.parts[first : last + 1]]
-        joined = parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1)
+        parts = [part[:, :, columns] for part in self.parts[first : last + 1]]
+        joined = parts[0] if len(parts) == 1 else np.concatenate(parts, axis=3)
         before = first * abreast
-        return np.asarray(joined[:, directions.start - before : directions.stop - before])
+        return np.asarray(joined[..., directions.start - before : directions.stop - before])
 
 
 def require_differentiable(
@@ -268,16 +263,14 @@ def _together(
     """Join the derivatives of all runs.   outputs : with equal values, along other directions."""
     columns, count = derivatives_of(plan), sum(p.size for p in parameters)
     n, saved = ready.inputs.count, ready.times.saved_rows
+    shape = columns.count, plan.directions
     whole = columns.count * plan.directions
 
-    def shaped(arrays: Iterable[Array], *shape: int) -> list[Array]:
-        return [each[:whole].reshape(columns.count, plan.directions, *shape) for each in arrays]
-
     def joined(arrays: list[Array]) -> Array:
-        together = np.concatenate(shaped(arrays, arrays[0].shape[-1]), axis=1)
-        return np.asarray(together[:, :count])
+        together = [each[:whole].reshape(*shape, each.shape[-1]) for each in arrays]
+        return np.asarray(np.concatenate(together, axis=1)[:, :count])
 
-    of_rows = shaped((each.derivatives for each in outputs), saved, n)
+    of_rows = [each.derivatives.reshape(saved, n, *shape) for each in outputs]
     ends = joined([each.end_derivatives for each in outputs])
     times, statistics = np.zeros((count, n)), _of_statistics(outputs)[:, :count]
     events, event_times = np.zeros((columns.count, count, 0)), np.zeros((count, 0))

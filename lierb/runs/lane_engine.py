@@ -133,8 +133,7 @@ class LaneRun(Run[LaneTime]):
     @cached_property
     def arrays(self) -> dict[str, NDArray[Any]]:
         output, times = self.output, self.times
-        rows = (output.multipliers, output.reactions, output.derivatives)
-        for array in (output.history, *output.states, *rows):
+        for array in (output.history, *output.states, output.multipliers, output.reactions):
             if times.saved_rows:
                 array.fill(np.nan)  # rows after a trajectory's end
         output.summary[SUMMARY.index("raised")] = calls.CLEAR  # of running trajectories

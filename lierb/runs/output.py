@@ -47,7 +47,7 @@ class Output:
     reactions : [joint, time][trajectory][component].
     ends : the driver's state at the end, [`end_columns`][trajectory]; then, with derivatives,
         theirs, [column, direction][trajectory].
-    derivatives : [column, direction][time][trajectory], of `derivative_columns`.
+    derivatives : [time][trajectory][column, direction], of `derivative_columns`.
     end_derivatives : at the end, [column, direction][trajectory]; then, for a model with events,
         those in time, [column][trajectory]; then those of DIFFERENTIATED of each observable,
         [observable, statistic, direction][trajectory].
@@ -193,7 +193,7 @@ def _shapes(plan: AnyPlan, count: int, rows: int, with_state: bool) -> tuple[tup
         (rows * plan.multipliers, count, len(plan.rows)),
         (rows * plan.reaction * max(len(system.joints), 1), count, 6),
         (len(end_columns(plan)) + end_parts(plan), count),
-        (derivatives * plan.directions, rows, count),
+        (rows, count, derivatives * plan.directions),
         (_end_derivatives(plan, derivatives), count),
     )
 

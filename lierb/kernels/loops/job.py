@@ -28,7 +28,7 @@ RESULTS = {
     "multipliers": "[time][trajectory][row of any joint]",
     "reactions": "[joint, time][trajectory][component]",
     "ends": "[`end_columns`, then their column, direction][trajectory]",
-    "derivatives": "[column, direction][time][trajectory], of `derivative_columns`",
+    "derivatives": "[time][trajectory][column, direction], of `derivative_columns`",
     "end_derivatives": "[row][trajectory], see `lierb.runs.output.Output`",
 }
 ARRAYS = {

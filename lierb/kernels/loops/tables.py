@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from lierb.compiler.loops import histories_at, shared
@@ -25,6 +26,8 @@ from lierb.kernels.systems.signals import events_of, signals_width
 from lierb.kernels.systems.state import OK, State
 from lierb.kernels.systems.system_of import in_memory, system_of
 from lierb.kernels.tracing.trace import kernel
+
+Placed = Callable[[Any], tuple[Any, ...]]
 
 
 class Tables(NamedTuple):
@@ -151,9 +154,11 @@ def store_derivatives(
 ) -> None:  # fmt: skip
     """Store one row of the derivatives of a state, [column, direction]."""
     if plan.moving:
-        _store_parts(
-            plan, body, inputs, state, record, tables.derivatives, (at.row, at.column), time
-        )
+
+        def placed(c: Any) -> tuple[Any, ...]:
+            return at.row, at.column, c
+
+        _store_parts(plan, body, inputs, state, record, tables.derivatives, placed, time)
 
 
 def store_end_derivatives(
@@ -166,35 +171,43 @@ def store_end_derivatives(
     """
     if not plan.moving:
         return
-    count = _store_parts(plan, body, inputs, state, record, array, (column,), time)
+
+    def placed(c: Any) -> tuple[Any, ...]:
+        return c, column
+
+    count = _store_parts(plan, body, inputs, state, record, array, placed, time)
     if events_of(plan) and plan.is_looped:
         loop, body = in_memory(plan), with_rank(plan, body, record)
         moved_body, moved = loop.moved_in_time(body, state, time)
         time = Dual(time, (1.0, *(0.0,) * (plan.directions - 1)))
         alive = record.status == OK
-        loop.store_derivatives(moved_body, moved, array, (column,), time, alive, in_time=True)
+        loop.store_derivatives(moved_body, moved, array, placed, time, alive, in_time=True)
     elif events_of(plan):
         body, state, system = values(body), values(state), system_of(plan)
         moved, time = in_time(system, body, state, time), Dual(time, (1.0,))
         body = with_states(body, moved)
-        _store_parts(plan, body, inputs, moved, record, array, (column,), time, count)
+        _store_parts(plan, body, inputs, moved, record, array, placed, time, count)
 
 
 def _store_parts(
     plan: AnyPlan, body: Any, inputs: Any, state: State, record: Record, array: Any,
-    place: tuple[Any, ...], time: Any, first: int = 0,
+    placed: Placed, time: Any, first: int = 0,
 ) -> int:  # fmt: skip
-    """Store all derivatives of a state from row `first` on; return their number."""
+    """Store all derivatives of a state, from number `first` on; return how many.
+
+    placed : function that returns the place of a number in the array; its second index is that of
+        the first trajectory.
+    """
     own, body = system_of(plan), with_rank(plan, body, record)
     if plan.is_looped:
         alive = record.status == OK
-        in_memory(plan).store_derivatives(body, state, array, place, time, alive)
+        in_memory(plan).store_derivatives(body, state, array, placed, time, alive)
         return 0
     given = load_values(plan, inputs) if first else load_inputs(plan, inputs)
     parts = tuple(differentiated(plan, own, body, given, state, time))
     parts = where(record.status == OK, parts, (NAN,) * len(parts))
-    places = [(c, *place) for c in range(first, first + len(parts))]
-    scatter(array, len(place), places, parts, plan.lanes)
+    places = [placed(c) for c in range(first, first + len(parts))]
+    scatter(array, 1, places, parts, plan.lanes)
     return len(parts)
 
 

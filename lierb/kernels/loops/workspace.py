@@ -100,8 +100,8 @@ def copy_row(rows, own, job, lanes):
         column, row = int(rows[TRAJECTORY, lane]), int(rows[NEXT_ROW, lane])
         for c in range(shown.shape[0]):
             history[c, row, column] = shown[c, 0, lane]
-        for c in range(own_derivatives.shape[0]):
-            derivatives[c, row, column] = own_derivatives[c, 0, lane]
+        for c in range(own_derivatives.shape[2]):
+            derivatives[row, column, c] = own_derivatives[0, lane, c]
         if own_multipliers.shape[0] > 0:
             for c in range(own_multipliers.shape[2]):
                 multipliers[row, column, c] = own_multipliers[0, lane, c]
@@ -128,10 +128,14 @@ def copy_state(own, job, lane, column, row):
 
 @shared
 def copy_ends(rows, own, job, lanes):
-    """Copy the summary and the end of each trajectory that has terminated."""
+    """Copy the summary and the end of each trajectory that has terminated.
+
+    Derivatives at later saved times become NaN; the other rows are NaN from the beginning.
+    """
     summary, own_summary = numbers_at(job.summary), numbers_at(own.summary)
     ends, own_ends = numbers_at(job.ends), numbers_at(own.ends)
     slopes, own_slopes = numbers_at(job.end_derivatives), numbers_at(own.end_derivatives)
+    derivatives = histories_at(job.derivatives)
     first, are_neighbours = int(rows[TRAJECTORY, 0]), True
     for lane in range(lanes):
         column = int(rows[TRAJECTORY, lane])
@@ -148,6 +152,9 @@ def copy_ends(rows, own, job, lanes):
                 copy_column(own_ends, ends, lane, column)
             copy_column(own_slopes, slopes, lane, column)
             copy_state(own, job, lane, column, job.rows_per_link - 1)
+            for row in range(int(rows[NEXT_ROW, lane]), derivatives.shape[0]):
+                for c in range(derivatives.shape[2]):
+                    derivatives[row, column, c] = np.nan
 
 
 @shared

@@ -110,7 +110,7 @@ class TreeLoop(LoopForces):
         body: LoopBody,
         state: State,
         array: Any,
-        place: tuple[Any, ...],
+        placed: Callable[[Any], tuple[Any, ...]],
         time: Any,
         alive: Any,
         in_time: bool = False,
@@ -118,8 +118,9 @@ class TreeLoop(LoopForces):
         """Store the derivatives of `lierb.kernels.systems.derivatives.derivative_columns`; NaN
         where not alive.
 
-        array : [column, direction][place]; with `in_time`, those of the first direction are stored
-            behind all others, [column][place].
+        placed : function that returns the place of a number, [column, direction], in the array, as
+            in `lierb.kernels.loops.tables`; with `in_time`, those of the first direction are stored
+            behind all others, [column].
         """
         tree, directions = self._tree(body), self.plan.directions
         stored, start = directions, tree.index(0)
@@ -128,9 +129,9 @@ class TreeLoop(LoopForces):
 
         def put(column: Index, parts: Sequence[Any]) -> None:
             shown = [where(alive, x, NAN) for i, x in enumerate(parts) if i % directions < stored]
-            places = [(start + column * stored + c, *place) for c in range(len(shown))]
+            places = [placed(start + column * stored + c) for c in range(len(shown))]
             if shown:
-                scatter(array, len(place), places, shown, self.plan.lanes)
+                scatter(array, 1, places, shown, self.plan.lanes)
 
         def put_at(column: Index, numbers: Any) -> None:
             put(column, parts_side_by_side(numbers, directions))
