@@ -22,7 +22,8 @@ from lierb.model.problem import Problem
 from lierb.runs.adjoint import gains_of
 from lierb.runs.derivatives import fixed_names, obstacles, start_and_inputs, unfit_names
 from lierb.runs.options import Options
-from lierb.runs.parameters import Parameter, chosen_parameters, parameters_by_name
+from lierb.runs.parameters import Parameter, chosen_parameters, parameters_by_name, seeds_of
+from lierb.runs.start_directions import Seeds
 from lierb.runs.starts import Ready, ready
 from lierb.runs.stiffness import warn_of_stiff_steps
 from lierb.runs.switches import warn_of_switches
@@ -191,7 +192,9 @@ def gradient(
             FailedTrajectoryWarning,
             stacklevel=2,
         )
-    parts = {p.name: _part(p, prepared, start, gains) for p in parameters}
+    with np.errstate(all="ignore"):  # of starts that violate their joints
+        seeds = seeds_of(parameters, start)
+    parts = {p.name: _part(seeds[p.name], p.size, prepared, gains) for p in parameters}
     return Gradient(of, gains[-1], parts, {p.name: p.unit for p in parameters})
 
 
@@ -248,19 +251,17 @@ def _along_directions(
         keywords = keywords | {"save_at": [keywords["t_end"]], "record": ENERGY}
     result = integrate_model(
         model, Options.of(model, **keywords), pose0, twist0, with_respect_to=parameters,
-        threads=threads, progress=progress, stacklevel=4,
+        threads=threads, progress=progress, stacklevel=4, has_tables=False,
     )  # fmt: skip
     value = result[ENERGY][-1] if of == ENERGY else result["t" if of == "t" else f"{of}_final"]
     parts = {p.name: result.sensitivity(of, p.name).reshape(-1, p.size) for p in parameters}
     return Gradient(of, value, parts, {p.name: p.unit for p in parameters})
 
 
-def _part(parameter: Parameter, prepared: Ready, start: Any, gains: Array) -> Array:
+def _part(seeds: Seeds, size: int, prepared: Ready, gains: Array) -> Array:
     """Return the derivatives by the numbers of a parameter, (n, k)."""
     columns, count = prepared.inputs.columns, gains.shape[1]
-    total = np.zeros((count, parameter.size))
-    with np.errstate(all="ignore"):  # of starts that violate their joints
-        seeds = parameter.seeds(start)
+    total = np.zeros((count, size))
     for field, array in seeds.items():  # [direction][trajectory or 1][number]
         for of_number, gain in zip(np.moveaxis(array, -1, 0), gains[columns[field]], strict=True):
             total += of_number.T * gain[:, None]  # in one order, whatever the batch

@@ -83,7 +83,10 @@ class Sensitivities(NamedTuple):
 
 
 class Untabled:
-    """Derivatives of a run at the saved times, without tables, for callers that need a few."""
+    """Derivatives of a run at the saved times, or at the end of a run that saves none.
+
+    There are no tables, for callers that need a few numbers.
+    """
 
     def __init__(self, derivatives: Derivatives, model: Model) -> None:
         self._derivatives = derivatives
@@ -92,9 +95,15 @@ class Untabled:
 
     def array(self, of: str, with_respect_to: str) -> Array:
         """Return the derivatives of a quantity by a parameter; see `Result.sensitivity`."""
-        quantity, directions = self._quantities[of], self._directions[with_respect_to]
-        rows = self._derivatives.rows_of(quantity.part, directions)
-        return rows.reshape(*rows.shape[:2], *quantity.shape, -1)
+        derivatives, directions = self._derivatives, self._directions[with_respect_to]
+        if of == TIME.name:
+            return derivatives.times[directions].T
+        quantity = self._quantities[of]
+        if derivatives.parts[0].size:
+            rows = derivatives.rows_of(quantity.part, directions)
+        else:
+            rows = _chosen(derivatives.ends)(quantity.part, directions)
+        return rows.reshape(*rows.shape[:-2], *quantity.shape, -1)
 
 
 def _names(table: pa.Table, which: int) -> tuple[str, ...]:

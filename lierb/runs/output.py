@@ -155,6 +155,20 @@ class Output:
         """Extra states and outputs at the end, [number][trajectory]."""
         return self.summary[lane_column(self.plan) + LANE_SUMMARY.count :]
 
+    def part(self, which: slice, clock: Clock) -> Output:
+        """Return the output of some neighbouring trajectories.   clock : of their run."""
+        own = {}
+        if self.events is not None and self.event_derivatives is not None:
+            at = (self.events[:, 0] >= which.start) & (self.events[:, 0] < which.stop)
+            own = {"events": self.events[at], "event_derivatives": self.event_derivatives[:, at]}
+            own["events"][:, 0] -= which.start
+        return Output(
+            self.plan, clock, self.summary[:, which], self.history[..., which],
+            tuple(array[:, which] for array in self.states), self.multipliers[:, which],
+            self.reactions[:, which], self.ends[:, which], self.derivatives[:, which],
+            self.end_derivatives[:, which], {}, **own,
+        )  # fmt: skip
+
     def starts(self, first: int, stop: int) -> Array:
         """Return 1 for each trajectory whose start satisfies the joint, else 0."""
         return self.summary[SUMMARY.index("starts"), first:stop]

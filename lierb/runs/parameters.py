@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import partial
-from itertools import combinations
+from itertools import accumulate, combinations
 from math import prod
 from typing import Any, NamedTuple
 
@@ -14,13 +14,23 @@ from lierb.errors import ArgumentError, LierbError, brief, items_of, unknown_nam
 from lierb.model.acting import ELEMENTS
 from lierb.model.base import Model
 from lierb.model.numbers import INERTIA, Place, labelled, places_of
-from lierb.runs.start_directions import Moved, Seeds, Start, frame_seeds, omega_units
+from lierb.runs.start_directions import (
+    JOINT,
+    POSE,
+    TWIST,
+    Moved,
+    Seeds,
+    Start,
+    frame_seeds,
+    omega_units,
+)
 from lierb.support.arrays import Array
 
 TWIST_UNITS = "rad/s, rad/s, rad/s, m/s, m/s, m/s"
 POSE_UNITS = "rad, rad, rad, m, m, m"
 STARTS = {"twist0": (6, TWIST_UNITS), "omega0": (3, "rad/s"), "pose0": (6, POSE_UNITS)}
 SYMMETRIC = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))  # entries of an inertia
+MOST = 1 << 14  # directions times trajectories that are treated together
 OF_LISTS = ("problem", *ELEMENTS)  # prefixes of names in a study
 
 
@@ -29,9 +39,12 @@ class Parameter(NamedTuple):
 
     size : number of its directions.   unit : unit, or those of all components.
     fields : fields of the inputs that depend on it.
-    seeds : function of the start that returns their derivatives.
+    seeds : function of the start that returns derivatives of its own fields; for a pose or twist of
+    the start, directions in the body's axes by field.
     units : changes of the numbers of the first field along each direction, (directions, numbers);
     None for a start.
+    follows : what of the start follows: "" for nothing, "pose" and "twist" for the links whose
+    start it is not, "joint" for a parameter of joints or constraints.
     """
 
     name: str
@@ -40,6 +53,7 @@ class Parameter(NamedTuple):
     fields: tuple[str, ...]
     seeds: Callable[[Start], Seeds]
     units: Array | None = None
+    follows: str = ""
 
     @property
     def is_start(self) -> bool:
@@ -140,8 +154,9 @@ def _parameters(model: Model) -> Iterator[Parameter]:
     """Yield all parameters of a model."""
     for link, owner in enumerate(model.link_names):
         for name, (count, unit) in STARTS.items():
-            seeds, fields = partial(_start_seeds, model, link, name), _start_fields(model, name)
-            yield Parameter(f"{owner}.{name}" if owner else name, count, unit, fields, seeds)
+            seeds, fields = partial(_start_units, model, link, name), _start_fields(model, name)
+            full, follows = f"{owner}.{name}" if owner else name, _followed(name)
+            yield Parameter(full, count, unit, fields, seeds, follows=follows)
     for name, place in places_of(model).items():
         if place.kind not in ("frame", "time"):
             parameter = partial(_geometric, model) if place.binds else _plain
@@ -171,13 +186,8 @@ def _units(place: Place) -> Array:
 
 def _geometric(model: Model, name: str, field: str, units: Array, unit: str) -> Parameter:
     """Return a parameter of a joint or a constraint, with which the start changes."""
-    seeds = {field: units[:, None]}
-
-    def all_seeds(start: Start) -> Seeds:
-        return seeds | _seeds_of(start, start.of_parameters(seeds))
-
     fields = field, *_start_fields(model, "pose0")
-    return Parameter(name, len(units), unit, fields, all_seeds, units)
+    return _plain(name, field, units, unit)._replace(fields=fields, follows=JOINT)
 
 
 def _start_fields(model: Model, name: str) -> tuple[str, ...]:
@@ -185,19 +195,21 @@ def _start_fields(model: Model, name: str) -> tuple[str, ...]:
     return tuple(f"{prefix}{field}" for prefix in model.fields for field in fields)
 
 
-def _start_seeds(model: Model, link: int, name: str, start: Start) -> Seeds:
+def _followed(name: str) -> str:
+    return POSE if name == "pose0" else TWIST
+
+
+def _start_units(model: Model, link: int, name: str, start: Start) -> Seeds:
+    """Return the directions of a link's start, in its body's axes."""
     units = np.eye(6)[:, None]
     if name == "omega0":
         joint = model.joints[link].joint
         assert joint is not None
         units = omega_units(joint.body_frame)
-    if name == "pose0":
-        return _seeds_of(start, start.directions(link, "pose", units))
-    # the motions that joints admit depend on the poses alone
-    return _seeds_of(start, start.at_rest.directions(link, "twist", units), with_poses=False)
+    return {f"{model.fields[link]}{_followed(name)}": units}
 
 
-def _seeds_of(start: Start, moved: Moved, with_poses: bool = True) -> Seeds:
+def _seeds_of(start: Start, moved: Moved, with_poses: bool) -> Seeds:
     seeds: Seeds = {}
     for i, prefix in enumerate(start.model.fields):
         seeds[f"{prefix}twist"] = moved.twists[i]
@@ -214,8 +226,46 @@ def fields_of(parameters: Iterable[Parameter], order: Iterable[str]) -> tuple[st
 
 def all_directions(parameters: Iterable[Parameter], start: Start) -> list[dict[str, Array]]:
     """Return the derivatives of the inputs along each direction, (n or 1, numbers) by field."""
-    directions = []
-    for p in parameters:
-        seeds = p.seeds(start)
-        directions += [{f: array[j] for f, array in seeds.items()} for j in range(p.size)]
-    return directions
+    parameters = tuple(parameters)
+    seeds = seeds_of(parameters, start)
+    return [
+        {field: array[j] for field, array in seeds[p.name].items()}
+        for p in parameters
+        for j in range(p.size)
+    ]
+
+
+def seeds_of(parameters: Iterable[Parameter], start: Start) -> dict[str, Seeds]:
+    """Return the derivatives of the inputs along the directions of each parameter, by name.
+
+    Parameters with the same `follows` are treated together, since the arrays are small.
+    """
+    seeds = {p.name: (p, p.seeds(start)) for p in parameters}
+    found = {name: own for name, (_, own) in seeds.items()}
+    for follows in (POSE, TWIST, JOINT):
+        rest = [p for p, _ in seeds.values() if p.follows == follows]
+        while rest:
+            most = max(MOST // start.count, max(p.size for p in rest))
+            count = sum(size <= most for size in accumulate(p.size for p in rest))
+            group, rest = rest[:count], rest[count:]
+            parts = slices_of(group)
+            together = _side_by_side([(parts[p.name], found[p.name]) for p in group])
+            moved = _seeds_of(start, start.moved(follows, together), follows != TWIST)
+            for name, part in parts.items():
+                own = found[name] if follows == JOINT else {}
+                found[name] = own | {field: array[part] for field, array in moved.items()}
+    return found
+
+
+def _side_by_side(changes: Sequence[tuple[slice, Seeds]]) -> Seeds:
+    """Return changes by field, of all directions, with zeros for fields that do not change."""
+    together: Seeds = {}
+    whole = changes[-1][0].stop
+    for _, own in changes:
+        for field, array in own.items():
+            count = max(array.shape[1], together[field].shape[1] if field in together else 1)
+            together[field] = np.zeros((whole, count, array.shape[2]))
+    for part, own in changes:
+        for field, array in own.items():
+            together[field][part] = array
+    return together

@@ -5,12 +5,13 @@ these admit, by least kinetic energy, as `Problem.project` and `Mechanism.projec
 moves on its bodies, the relative motion D, D⁻¹Ḋ of its two frames is kept; loops, pitches, lengths
 and constraints are then satisfied by the least change. Twists follow the poses.
 
-Derivatives are parts of dual numbers over arrays, so that rows are differentiated exactly.
+Derivatives are parts of dual numbers over arrays, so that rows are differentiated exactly. A number
+has one part, an array over all directions and trajectories.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -22,7 +23,7 @@ from lierb.kernels.mechanics.newton_euler import SE3, BodyConstants, Kinematics,
 from lierb.kernels.numbers.arithmetic import plain
 from lierb.kernels.numbers.dual import Dual, parts_of
 from lierb.kernels.numbers.vec import Vec, add, cross, dot, mat_mat, mat_t_vec, mat_vec, skew
-from lierb.kernels.systems.layout import POSE
+from lierb.kernels.systems.layout import POSE as POSE_NUMBERS
 from lierb.model.base import Model
 from lierb.model.connections import NOWHERE, Connection
 from lierb.model.mechanism.decomposition import DecomposedRows
@@ -31,6 +32,7 @@ from lierb.model.mechanism.row_system import System, velocity_of
 from lierb.model.problem import as_mechanism
 from lierb.support.arrays import Array, assembled, components, pose_components
 
+POSE, TWIST, JOINT = "pose", "twist", "joint"  # what a parameter changes
 Seeds = dict[str, Array]  # by field of the inputs, (directions, n or 1, numbers)
 
 
@@ -68,22 +70,24 @@ class Start:
         motors = [force for force in self.model.forces if force.kind.rows]
         return as_mechanism(self.model, forces=motors, constraints=self.model.constraints)
 
-    def directions(self, link: int, moves: str, units: Array) -> Moved:
-        """Change the start of one link along directions of its body axes.
+    def moved(self, follows: str, changes: Seeds) -> Moved:
+        """Change the start with poses or twists of some links, or with joints and constraints.
 
-        moves : "pose" or "twist".   units : (directions, n or 1, 6).
+        follows : POSE, TWIST or JOINT.   changes : of fields of the inputs; of poses and twists
+            directions in the body's axes.
         """
-        admitted = self._admitted(link, units, is_rate=moves == "twist")
+        if follows == JOINT:
+            return self._of_joints(changes)
+        start = self.at_rest if follows == TWIST else self  # what joints admit depends on poses
+        units = [changes.get(f"{prefix}{follows}") for prefix in self.model.fields]
+        admitted = start._admitted(units, is_rate=follows == TWIST)
         none = [np.zeros_like(each) for each in admitted]
-        if moves == "twist":
+        if follows == TWIST:
             return Moved(none, admitted)
         return self._following(Frames(self, {}), Moved(admitted, none))
 
-    def of_parameters(self, seeds: Seeds) -> Moved:
-        """Change the start with frames, pitches and lengths of joints, and with constraints.
-
-        seeds : of fields of the inputs.
-        """
+    def _of_joints(self, seeds: Seeds) -> Moved:
+        """Change the start with frames, pitches and lengths of joints, and with constraints."""
         frames = Frames(self, seeds)
         moved = self._carried(frames)
         off = self._changes(frames, moved, is_rate=False)
@@ -138,14 +142,14 @@ class Start:
             for i in range(len(self.poses))
         ]
 
-    def _admitted(self, link: int, units: Array, is_rate: bool) -> list[Array]:
-        """Project directions of one link: changes of all links, (directions, n, 6).
+    def _admitted(self, units: Sequence[Array | None], is_rate: bool) -> list[Array]:
+        """Project directions of all links: changes, (directions, n, 6).
 
+        units : by link, (directions, n or 1, 6), or None.
         is_rate : True for those of twists, which all rows bind; poses are bound by holonomic rows.
         """
-        shape = (len(units), self.count, 6)
-        moved = [np.zeros(shape) for _ in self.poses]
-        moved[link] = np.broadcast_to(units, shape).copy()
+        shape = (max(len(each) for each in units if each is not None), self.count, 6)
+        moved = [np.zeros(shape) if x is None else np.broadcast_to(x, shape) for x in units]
         for _ in range(2):  # the second step corrects the rounding of the first
             rates = self._rates(moved, is_rate)
             if rates is None:
@@ -156,14 +160,10 @@ class Start:
 
     def _rates(self, moved: list[Array], is_rate: bool) -> Array | None:
         """Return J X of all rows, or of the holonomic ones, (directions, n, rows); None without."""
-        rates = []
-        for direction in range(len(moved[0])):
-            twists = [components(each[direction]) for each in moved]
-            for s in self.system.states(self.placed, twists, self.t0):
-                rates += [s.rate(r) for r in _rows(s.at, is_rate)]
-        if not rates:
-            return None
-        return self.system.column(rates).reshape(self.count, len(moved[0]), -1).swapaxes(0, 1)
+        states = self.system.states(self.placed, [components(each) for each in moved], self.t0)
+        rates = [s.rate(r) for s in states for r in _rows(s.at, is_rate)]
+        shape = moved[0].shape[:2]
+        return np.stack([np.broadcast_to(plain(x), shape) for x in rates], -1) if rates else None
 
     # ---- poses and twists that follow ----------------------------------------------------------
 
@@ -303,7 +303,7 @@ def frame_seeds(frame: Array, changes: Array) -> Array:
     """
     turned = _turned(pose_components(frame), changes)
     count = max(changes.shape[1], 1 if frame.ndim == 2 else len(frame))
-    return _parts((*turned[0], *turned[1]), (len(changes), count, len(POSE)))
+    return _parts((*turned[0], *turned[1]), (len(changes), count, len(POSE_NUMBERS)))
 
 
 def _rows(at: Connection, is_rate: bool) -> tuple[Any, ...]:
@@ -313,16 +313,14 @@ def _rows(at: Connection, is_rate: bool) -> tuple[Any, ...]:
 
 def _with_parts(numbers: Vec, changes: Array) -> Vec:
     """Return dual numbers.   changes : derivatives, (directions, n or 1, numbers)."""
-    return tuple(Dual(x, tuple(changes[..., i])) for i, x in enumerate(numbers))
+    return tuple(Dual(x, (changes[..., i],)) for i, x in enumerate(numbers))
 
 
 def _turned(pose: Pose, change: Array) -> Pose:
     """Return C exp δ as dual numbers, with derivatives C δ.   change : (directions, n or 1, 6)."""
-    moved = [
-        (*mat_mat(pose[0], skew(components(each)[:3])), *mat_vec(pose[0], components(each)[3:]))
-        for each in change
-    ]
-    numbers = tuple(Dual(x, tuple(parts)) for x, *parts in zip(sum(pose, ()), *moved, strict=True))
+    axis = components(change)
+    moved = mat_mat(pose[0], skew(axis[:3])) + mat_vec(pose[0], axis[3:])
+    numbers = tuple(Dual(x, (part,)) for x, part in zip(sum(pose, ()), moved, strict=True))
     return numbers[:9], numbers[9:]
 
 
@@ -344,8 +342,8 @@ def _parts(numbers: Vec, shape: tuple[int, ...]) -> Array:
     """Return the derivatives of numbers, (directions, n, numbers)."""
     parts = np.zeros(shape)
     for i, x in enumerate(numbers):
-        for direction, part in enumerate(parts_of(x)):
-            parts[direction, :, i] = plain(part)
+        for part in parts_of(x):
+            parts[..., i] = plain(part)
     return parts
 
 

@@ -16,7 +16,7 @@ from lierb.lie import se3
 from lierb.model.base import Model
 from lierb.model.mechanism.mechanism import Mechanism
 from lierb.model.problem import Problem
-from lierb.runs.parameters import Parameter
+from lierb.runs.parameters import Parameter, seeds_of
 from lierb.runs.start_directions import Seeds, Start, carried
 from lierb.runs.starts import start_of
 from lierb.support.arrays import Array, Which, assembled, pose_matrix
@@ -80,9 +80,9 @@ class Variation:
         """Return directions of the start, by parameter and link: C⁻¹δC and δV, (k, n or 1, 6)."""
         moved, pairs = {}, [*zip(self.model.fields, self.model.link_names, strict=True)]
         with np.errstate(all="ignore"):
-            for p in (p for p in self.parameters if p.is_start):
-                seeds = p.seeds(self.start)
-                moved[p.name] = {link: self._moved(seeds, field, link) for field, link in pairs}
+            starts = (p for p in self.parameters if p.is_start)
+            for name, seeds in seeds_of(starts, self.start).items():
+                moved[name] = {link: self._moved(seeds, field, link) for field, link in pairs}
         return moved
 
     def at(self, changes: Changes) -> Varied:
@@ -162,7 +162,7 @@ def fixed_directions(variation: Variation) -> dict[str, Seeds]:
     if variation.moves_poses:
         return {}
     with np.errstate(all="ignore"):
-        return {p.name: p.seeds(variation.start) for p in variation.parameters if p.is_start}
+        return seeds_of((p for p in variation.parameters if p.is_start), variation.start)
 
 
 def with_directions(
@@ -174,7 +174,7 @@ def with_directions(
         if p.name not in fixed:
             return p
         own = {k: x[:, which] if x.shape[1] > 1 else x for k, x in fixed[p.name].items()}
-        return p._replace(seeds=lambda start: own)
+        return p._replace(seeds=lambda start: own, follows="")
 
     return tuple(directed(p) for p in parameters)
 
