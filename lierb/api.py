@@ -153,9 +153,9 @@ def integrate(
         solution is a constant gain, computed once. It requires check="raise"; a start that violates
         the joint by less than the tolerance is projected to the subgroup. "auto" is "subgroup" if
         possible, otherwise "saddle". For a mechanism, "looped" is code that loops over the links of
-        any tree and is compiled once for all trees: reduced coordinates, forces, no loops and
-        no functions but forces. "unrolled" is code for one tree, which is compiled for it. "auto"
-        is "looped" for more than seven links, if possible.
+        any tree on reduced coordinates and is compiled once for all trees; it refuses by name what
+        it does not support. "unrolled" is code for one tree, which is compiled for it. "auto" is
+        "looped" for more than seven links, if possible.
     stabilise : "project" or Stabilisation, optional
         Stabilisation of a mechanism's loops, and of its joints on "SE3" and "SO3xR3", which drift
         otherwise. "project" projects pose and velocity to the constraints after each step, by the
