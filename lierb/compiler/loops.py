@@ -29,6 +29,21 @@ def _number_at(address: int) -> float:
     return c_double.from_address(int(address)).value
 
 
+def _put_number_at(address: int, number: float) -> None:
+    """Store a float64 at an address, which need not be aligned."""
+    c_double.from_address(int(address)).value = number
+
+
+@intrinsic
+def _store(context: Any, address: Any, number: Any) -> Any:
+    def generate(context: Any, builder: ir.IRBuilder, sig: Any, args: Any) -> Any:
+        place = builder.inttoptr(args[0], ir.DoubleType().as_pointer())
+        builder.store(args[1], place, align=1)
+        return context.get_dummy_value()
+
+    return types.void(address, types.float64), generate
+
+
 @intrinsic
 def _load(context: Any, address: Any) -> Any:
     def generate(context: Any, builder: ir.IRBuilder, sig: Any, args: Any) -> Any:
@@ -73,6 +88,7 @@ def _array_at(axes: int, item: types.Type) -> Any:
 
 
 number_at = _number_at if config.DISABLE_JIT else _load
+put_number_at = _put_number_at if config.DISABLE_JIT else _store
 numbers_at = _array_at(2, types.float64)
 histories_at = _array_at(3, types.float64)
 integers_at = _array_at(2, types.int64)

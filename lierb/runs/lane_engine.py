@@ -25,6 +25,7 @@ from lierb.kernels.systems.observables import observables_of
 from lierb.kernels.systems.signals import events_of, signals_width
 from lierb.kernels.tracing import calls
 from lierb.runs.driver import Run
+from lierb.runs.lane_copies import copies
 from lierb.runs.output import Output
 from lierb.runs.threads import CALL_SECONDS
 from lierb.support.arrays import Array
@@ -189,7 +190,8 @@ class LaneRun(Run[LaneTime]):
             "events": np.zeros((1 + room, width)),
         }
         arrays["rows"][ws.TERMINATION] = IDLE
-        return arrays | output.arrays
+        arrays |= output.arrays
+        return arrays | copies(arrays, self.output)
 
     @cached_property
     def _jobs(self) -> NDArray[Any]:

@@ -56,6 +56,9 @@ ARRAYS = {
     "samples": "[row, see `lierb.kernels.loops.lane_samples`][observable][lane]",
     "dips": "[θ, value][event][lane]",
     "roundings": "[event][lane]",
+    "row_copies": "int64, [copy][numbers of `lierb.kernels.loops.workspace.copy`], of a row",
+    "end_copies": "likewise, of the end of a trajectory",
+    "blanks": "likewise, of NaN to derivatives of rows that are not reached",
     "events": "[index][EVENT_COLUMNS, state and signals]; [0][0] is their count",
 }
 SIZES = {

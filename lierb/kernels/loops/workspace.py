@@ -13,10 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from lierb.compiler.code import cached
-from lierb.compiler.loops import histories_at, integers_at, number_at, numbers_at, shared
+from lierb.compiler.loops import integers_at, number_at, numbers_at, put_number_at, shared
 from lierb.compiler.tags import Tag
 from lierb.kernels.loops.sharing import take_share
-from lierb.kernels.loops.tables import tables_at
 from lierb.kernels.stepping.travel import MOST_PARTS
 from lierb.kernels.systems.measures import SUMMARY
 
@@ -40,6 +39,7 @@ from lierb.kernels.systems.measures import SUMMARY
     ROWS,
 ) = range(21)  # fmt: skip
 # Words exchanged between a loop and the services.
+COPY = 8  # numbers of a copy, see `copy`
 KIND, TASK, TURN, FIRST_EVENT, TRIES, IS_NEW, ANY_ACTIVE, SHARE, SHARE_END, REQUEST = range(10)
 TAKE_NEXT, COPY_ENDS, COPY_ROW = range(3)  # kinds of requests to `serve`
 SAMPLES = 4  # number of samples of events in a step, equidistant, including its end
@@ -88,42 +88,14 @@ def note_steps(rows, step_times):
 @shared
 def copy_row(rows, own, job, lanes):
     """Copy a row of the history of each selected lane to the results; update its next due time."""
-    history, shown = histories_at(job.history), histories_at(own.history)
-    multipliers, own_multipliers = histories_at(job.multipliers), histories_at(own.multipliers)
-    reactions, own_reactions = histories_at(job.reactions), histories_at(own.reactions)
-    derivatives, own_derivatives = histories_at(job.derivatives), histories_at(own.derivatives)
-    save_at = numbers_at(job.save_at)
+    save_at, copies = numbers_at(job.save_at), integers_at(own.row_copies)
     count = save_at.shape[1]
     for lane in range(lanes):
-        if rows[SELECTED, lane] == 0.0:
-            continue
-        column, row = int(rows[TRAJECTORY, lane]), int(rows[NEXT_ROW, lane])
-        for c in range(shown.shape[0]):
-            history[c, row, column] = shown[c, 0, lane]
-        for c in range(own_derivatives.shape[2]):
-            derivatives[row, column, c] = own_derivatives[0, lane, c]
-        if own_multipliers.shape[0] > 0:
-            for c in range(own_multipliers.shape[2]):
-                multipliers[row, column, c] = own_multipliers[0, lane, c]
-        for joint in range(own_reactions.shape[0]):
-            for c in range(6):
-                reactions[joint * count + row, column, c] = own_reactions[joint, lane, c]
-        if job.rows_per_link > 1:
-            copy_state(own, job, lane, column, row)
-        rows[NEXT_ROW, lane] = row + 1
-        rows[DUE, lane] = save_at[0, row + 1] if row + 1 < count else np.inf
-
-
-@shared
-def copy_state(own, job, lane, column, row):
-    """Copy pose and twist of all links to a row of the states."""
-    shown, c = numbers_at(own.shown), 0
-    states = tables_at(job).states
-    for place in range(row, states[0].shape[0], job.rows_per_link):
-        for array in states:
-            for component in range(array.shape[2]):
-                array[place, column, component] = shown[c, lane]
-                c += 1
+        if rows[SELECTED, lane] > 0.0:
+            row = int(rows[NEXT_ROW, lane])
+            copy(copies, lane, int(rows[TRAJECTORY, lane]), row)
+            rows[NEXT_ROW, lane] = row + 1
+            rows[DUE, lane] = save_at[0, row + 1] if row + 1 < count else np.inf
 
 
 @shared
@@ -132,47 +104,31 @@ def copy_ends(rows, own, job, lanes):
 
     Derivatives at later saved times become NaN; the other rows are NaN from the beginning.
     """
-    summary, own_summary = numbers_at(job.summary), numbers_at(own.summary)
-    ends, own_ends = numbers_at(job.ends), numbers_at(own.ends)
-    slopes, own_slopes = numbers_at(job.end_derivatives), numbers_at(own.end_derivatives)
-    derivatives = histories_at(job.derivatives)
-    first, are_neighbours = int(rows[TRAJECTORY, 0]), True
-    for lane in range(lanes):
-        column = int(rows[TRAJECTORY, lane])
-        own_summary[STARTS, lane] = summary[STARTS, column]
-        are_neighbours = are_neighbours and rows[TERMINATION, lane] > 0.0 and column == first + lane
-    if are_neighbours:
-        copy_columns(own_summary, summary, first, lanes)
-        copy_columns(own_ends, ends, first, lanes)
+    copies, blanks = integers_at(own.end_copies), integers_at(own.blanks)
+    saved = numbers_at(job.save_at).shape[1]
     for lane in range(lanes):
         if rows[TERMINATION, lane] > 0.0:
-            column = int(rows[TRAJECTORY, lane])
-            if not are_neighbours:
-                copy_column(own_summary, summary, lane, column)
-                copy_column(own_ends, ends, lane, column)
-            copy_column(own_slopes, slopes, lane, column)
-            copy_state(own, job, lane, column, job.rows_per_link - 1)
-            for row in range(int(rows[NEXT_ROW, lane]), derivatives.shape[0]):
-                for c in range(derivatives.shape[2]):
-                    derivatives[row, column, c] = np.nan
+            trajectory = int(rows[TRAJECTORY, lane])
+            copy(copies, lane, trajectory, 0)
+            for row in range(int(rows[NEXT_ROW, lane]), saved):
+                copy(blanks, 0, trajectory, row)
 
 
 @shared
-def copy_column(source, target, lane, column):
-    for c in range(source.shape[0]):
-        target[c, column] = source[c, lane]
+def copy(copies, lane, trajectory, row):
+    """Copy numbers of a lane to a row of the results of its trajectory.
 
-
-@shared
-def copy_columns(source, target, first, lanes):
-    """Copy the columns of all lanes, in vector instructions.
-
-    Indices start at 0: for an index that may be negative, LLVM emits a scatter.
+    copies : [copy][address of the numbers; bytes to the next number and to the next lane; address
+        of their place; bytes to the next number, trajectory and row; count of the numbers].
     """
-    for c in range(source.shape[0]):
-        row = target[c, first : first + lanes]
-        for lane in range(lanes):
-            row[lane] = source[c, lane]
+    for i in range(copies.shape[0]):
+        source = copies[i, 0] + copies[i, 2] * lane
+        place = copies[i, 3] + copies[i, 5] * trajectory + copies[i, 6] * row
+        between, apart = copies[i, 1], copies[i, 4]
+        for _ in range(copies[i, 7]):
+            put_number_at(place, number_at(source))
+            source += between
+            place += apart
 
 
 @shared
