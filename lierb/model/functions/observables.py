@@ -90,9 +90,8 @@ def observable(function: UserFunction | None = None, /, **defaults: Any) -> Any:
 
     The function takes any of t, R, r, omega, v, params, body, states, controls, alpha and
     specific_force, by these names and in any order, and returns one number. It is evaluated at the
-    times of measurement (`measure_every`, `save_every`), and does not change the motion. Adaptive
-    steps are long: for an accurate mean set `dt_max`, or integrate the number as a state
-    (`lierb.states`).
+    times of measurement (`measure_every`, `save_every`), with adaptive steps within them too, and
+    does not change the motion.
 
     Arguments are as in `lierb.wrench`. `alpha` is the angular acceleration, rad/s², and
     `specific_force` the acceleration of the body frame's origin less gravity, m/s²: both relative
@@ -100,9 +99,11 @@ def observable(function: UserFunction | None = None, /, **defaults: Any) -> Any:
     specific_force + alpha × p + omega × (omega × p). In a mechanism such a function is on one link.
 
     `history` has the values in a column with the observable's name. `summary` has statistics over
-    the measured times: `…_min`, `…_max`, `…_mean`, the mean over time by the trapezoidal rule, and
-    `…_final`. After a failure the extremes are those before it, and the others NaN. A value that is
-    NaN makes the extremes and the mean NaN, but is not a failure.
+    the run: `…_min`, `…_max`, `…_mean`, the mean over time, and `…_final`. With fixed steps they
+    are of the measured times, the mean by the trapezoidal rule; with adaptive steps means are by
+    Gauss-Lobatto quadrature and extremes by parabolas. After a failure the extremes are those
+    before it, and the others NaN. A value that is NaN makes the extremes and the mean NaN, but is
+    not a failure.
 
     Parameters
     ----------
