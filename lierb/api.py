@@ -290,8 +290,8 @@ def integrate_model(
 ) -> Result:
     """Integrate a model with validated options; arguments as in `integrate`.
 
-    has_tables : False for derivatives without tables, for `Result.sensitivity`
-    alone.   stacklevel : stack level of warnings; 2 is the caller of this function.
+    has_tables : False for derivatives without tables, for `Result.sensitivity` alone.
+    stacklevel : stack level of warnings; 2 is the caller of this function.
     argument : the caller's name of `with_respect_to`, for messages.
     """
     model.require_unchanged()

@@ -88,7 +88,7 @@ def gradient(
 
     The cost does not depend on the number of parameters: it is that of about four runs. For few
     parameters or many numbers, take `with_respect_to` of `integrate`. Looped code has no adjoint;
-    its gradients take about two runs for each number of the parameters.
+    its gradients take two to three runs for each number of the parameters.
 
     Parameters
     ----------

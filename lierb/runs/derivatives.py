@@ -36,7 +36,9 @@ from lierb.support.progress import Progress
 TICK = 8.0 * np.finfo(float).eps  # relative distance of a time from a tick, by rounding
 AT_END = 1e-9  # distance of an extreme at the end from the final value, relative to the range
 FEW = 0.5  # trajectories for each lane, up to which all directions run in one batch
-COPIES = 3  # of all derivatives in memory: of the runs, of all together, and of their tables
+COPIES = (
+    3  # of all derivatives in memory, at most: of the runs, with idle directions, and of tables
+)
 
 
 class Derivatives(NamedTuple):
@@ -173,19 +175,20 @@ def integrate_with_derivatives(
         directions = _going_on(ready, parameters, directions)
     abreast = _abreast(len(directions), plan.is_in_memory)
     differentiated = plan_with_derivatives(plan, moving, abreast)
-    seeds = [
-        _seeds(inputs.columns, moving, directions[first : first + abreast], abreast)
-        for first in range(0, len(directions), abreast)
-    ]
+    starts = range(0, len(directions), abreast)
+    seeds = (_seeds(inputs.columns, moving, directions[i : i + abreast], abreast) for i in starts)
+    call = with_state, threads
     outputs: list[Output] = []
-    if len(seeds) > 1 and inputs.count <= FEW * plan.lanes:
-        call = with_state, threads, progress, check
-        outputs += _side_by_side(differentiated, inputs, ready.times, seeds, *call)
+    if len(starts) > 1 and inputs.count <= FEW * plan.lanes:
+        whole = inputs.repeated([*seeds])
+        outputs += _in_one_batch(
+            differentiated, whole, inputs.count, ready.times, call, progress, check
+        )
     else:
         for number, own in enumerate(seeds):
             output = engine.integrate(
-                differentiated, replace(inputs, seeds=own), ready.times, with_state, threads,
-                _part_of(progress, number, len(seeds)), check,
+                differentiated, replace(inputs, seeds=own), ready.times, *call,
+                _part_of(progress, number, len(starts)), check,
             )  # fmt: skip
             check = None
             outputs.append(output)
@@ -195,49 +198,31 @@ def integrate_with_derivatives(
     ), derivatives
 
 
-def _side_by_side(
+def _in_one_batch(
     plan: AnyPlan,
     inputs: Inputs,
+    count: int,
     times: StepClock | LaneTime,
-    seeds: list[dict[str, Array]],
-    with_state: bool,
-    threads: int | None,
+    call: tuple[bool, int | None],
     progress: Progress,
     check: engine.StartCheck | None,
 ) -> list[Output]:
-    """Run trajectories along all directions in one batch, where few would leave lanes idle."""
-    n = inputs.count
-    which = np.tile(np.arange(n), len(seeds))
-    starts = {
-        name: array[which] if array.ndim > len(inputs.columns.field(name).shape) and len(array) > 1
-        else array
-        for name, array in inputs.starts.items()
-    }  # fmt: skip
-    state, model = inputs.state, inputs.model
-    if state is not None and state.shape[1] > 1:
-        state = state[:, which]
-    if (model.batch_size() or 1) > 1:
-        model = model.part(which)
-    together = {
-        name: np.concatenate(
-            [np.broadcast_to(own[name], (len(array), n, array.shape[2])) for own in seeds], axis=1
-        )
-        for name, array in seeds[0].items()
-    }
-    whole = replace(
-        inputs, model=model, starts=starts, count=len(which), state=state, seeds=together
-    )
-    of_copies = times
+    """Run `count` trajectories along all directions together; alone they would leave lanes idle.
+
+    inputs : `Inputs.repeated`.   call : with_state and threads of `engine.integrate`.
+    """
+    copies = inputs.count // count
+    repeated = times
     if isinstance(times, LaneTime):
-        of_copies = replace(times, numbers=np.tile(times.numbers, len(seeds)))
+        repeated = replace(times, numbers=np.tile(times.numbers, copies))
 
     def checked(flags: Array, first: int) -> bool:
         assert check is not None
-        return first >= n or check(flags[: n - first], first)
+        return first >= count or check(flags[: count - first], first)
 
     given = None if check is None else checked
-    output = engine.integrate(plan, whole, of_copies, with_state, threads, progress, given)
-    return [output.part(slice(i * n, i * n + n), times) for i in range(len(seeds))]
+    output = engine.integrate(plan, inputs, repeated, *call, progress, given)
+    return [output.part(slice(i * count, i * count + count), times) for i in range(copies)]
 
 
 def _going_on(

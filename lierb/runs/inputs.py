@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import NamedTuple
 from weakref import WeakKeyDictionary
@@ -105,6 +105,28 @@ class Inputs:
     time: float = 0.0
     state: Array | None = None
     seeds: dict[str, Array] | None = None
+
+    def repeated(self, seeds: Sequence[dict[str, Array]]) -> Inputs:
+        """Return the inputs of all trajectories once for each of several seeds, in this order."""
+        which = np.tile(np.arange(self.count), len(seeds))
+        starts = {
+            name: array if _is_shared(self.columns.field(name), array) else array[which]
+            for name, array in self.starts.items()
+        }
+        state = self.state
+        if state is not None and state.shape[1] > 1:
+            state = state[:, which]
+        together = {
+            name: np.concatenate(
+                [np.broadcast_to(own[name], (len(x), self.count, x.shape[2])) for own in seeds], 1
+            )
+            for name, x in seeds[0].items()
+        }
+        is_batch = (self.model.batch_size() or 1) > 1
+        model = self.model.part(which) if is_batch else self.model
+        return replace(
+            self, model=model, starts=starts, count=len(which), state=state, seeds=together
+        )
 
     @property
     def differ(self) -> int:

@@ -28,7 +28,11 @@ from lierb.support.arrays import Array
 
 TWIST_UNITS = "rad/s, rad/s, rad/s, m/s, m/s, m/s"
 POSE_UNITS = "rad, rad, rad, m, m, m"
-STARTS = {"twist0": (6, TWIST_UNITS), "omega0": (3, "rad/s"), "pose0": (6, POSE_UNITS)}
+STARTS = {
+    "twist0": (6, TWIST_UNITS, TWIST),
+    "omega0": (3, "rad/s", TWIST),
+    "pose0": (6, POSE_UNITS, POSE),
+}
 SYMMETRIC = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))  # entries of an inertia
 MOST = 1 << 14  # directions times trajectories that are treated together
 OF_LISTS = ("problem", *ELEMENTS)  # prefixes of names in a study
@@ -153,9 +157,9 @@ def _unknown(model: Model, argument: str, name: str, known: dict[str, Parameter]
 def _parameters(model: Model) -> Iterator[Parameter]:
     """Yield all parameters of a model."""
     for link, owner in enumerate(model.link_names):
-        for name, (count, unit) in STARTS.items():
+        for name, (count, unit, follows) in STARTS.items():
             seeds, fields = partial(_start_units, model, link, name), _start_fields(model, name)
-            full, follows = f"{owner}.{name}" if owner else name, _followed(name)
+            full = f"{owner}.{name}" if owner else name
             yield Parameter(full, count, unit, fields, seeds, follows=follows)
     for name, place in places_of(model).items():
         if place.kind not in ("frame", "time"):
@@ -195,10 +199,6 @@ def _start_fields(model: Model, name: str) -> tuple[str, ...]:
     return tuple(f"{prefix}{field}" for prefix in model.fields for field in fields)
 
 
-def _followed(name: str) -> str:
-    return POSE if name == "pose0" else TWIST
-
-
 def _start_units(model: Model, link: int, name: str, start: Start) -> Seeds:
     """Return the directions of a link's start, in its body's axes."""
     units = np.eye(6)[:, None]
@@ -206,7 +206,7 @@ def _start_units(model: Model, link: int, name: str, start: Start) -> Seeds:
         joint = model.joints[link].joint
         assert joint is not None
         units = omega_units(joint.body_frame)
-    return {f"{model.fields[link]}{_followed(name)}": units}
+    return {f"{model.fields[link]}{STARTS[name][2]}": units}
 
 
 def _seeds_of(start: Start, moved: Moved, with_poses: bool) -> Seeds:
@@ -249,7 +249,7 @@ def seeds_of(parameters: Iterable[Parameter], start: Start) -> dict[str, Seeds]:
             count = sum(size <= most for size in accumulate(p.size for p in rest))
             group, rest = rest[:count], rest[count:]
             parts = slices_of(group)
-            together = _side_by_side([(parts[p.name], found[p.name]) for p in group])
+            together = _stacked([(parts[p.name], found[p.name]) for p in group])
             moved = _seeds_of(start, start.moved(follows, together), follows != TWIST)
             for name, part in parts.items():
                 own = found[name] if follows == JOINT else {}
@@ -257,15 +257,13 @@ def seeds_of(parameters: Iterable[Parameter], start: Start) -> dict[str, Seeds]:
     return found
 
 
-def _side_by_side(changes: Sequence[tuple[slice, Seeds]]) -> Seeds:
+def _stacked(changes: Sequence[tuple[slice, Seeds]]) -> Seeds:
     """Return changes by field, of all directions, with zeros for fields that do not change."""
-    together: Seeds = {}
-    whole = changes[-1][0].stop
-    for _, own in changes:
-        for field, array in own.items():
-            count = max(array.shape[1], together[field].shape[1] if field in together else 1)
-            together[field] = np.zeros((whole, count, array.shape[2]))
-    for part, own in changes:
-        for field, array in own.items():
-            together[field][part] = array
-    return together
+    stacked: Seeds = {}
+    for field in {field: None for _, own in changes for field in own}:
+        parts = [(part, own[field]) for part, own in changes if field in own]
+        count, width = max(x.shape[1] for _, x in parts), parts[0][1].shape[2]
+        stacked[field] = np.zeros((changes[-1][0].stop, count, width))
+        for part, x in parts:
+            stacked[field][part] = x
+    return stacked

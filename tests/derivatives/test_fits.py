@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 from functools import cache
 
+import numba
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -15,6 +16,7 @@ from lierb.analysis import many_fits
 from lierb.analysis.least_squares import steps_of, triangular
 from lierb.analysis.pseudo_inertia import SIZES, body_of, coordinates_of, derivatives_of
 from lierb.errors import FailedFitWarning, LierbError
+from lierb.runs import driver
 
 TIMES = np.linspace(0.0, 5.0, 51)
 RUN = {"dt": 2e-2}
@@ -378,6 +380,21 @@ def test_an_interrupted_fit_leaves_nothing_behind():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         assert fitted(pendulum(0.1), data).converged.all()
+
+
+def test_fits_run_on_the_callers_number_of_threads(monkeypatch):
+    """Numba's number of threads is that of a Python thread, and steps run in threads of fits."""
+    used, running = set(), driver.running
+    monkeypatch.setattr(driver, "running", lambda count: used.add(count) or running(count))
+    before = numba.get_num_threads()
+    numba.set_num_threads(1)
+    try:
+        fitted(pendulum(0.1), measured(40))
+    finally:
+        numba.set_num_threads(before)
+    assert used == {1}
+    with pytest.raises(lierb.errors.ArgumentError, match="threads=0; expected 1"):
+        fitted(pendulum(0.1), measured(2), threads=0)
 
 
 def test_numbers_and_guesses_may_differ_between_experiments():

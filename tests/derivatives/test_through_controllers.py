@@ -116,6 +116,21 @@ def test_noise_depends_on_nothing():
     assert gains[0] == pytest.approx(gains[1], rel=0.1)
 
 
+@pytest.mark.slow
+def test_a_trajectory_keeps_its_noise_and_derivatives_in_a_batch():
+    problem, numbers = wheel(bias=1e-3), [7, 2]
+    start = {"twist0": np.stack([START["twist0"], 0.5 * np.asarray(START["twist0"])])}
+    run = START | {"dt": 0.01, "seed": 3, "with_respect_to": ALL}
+    both = lierb.integrate(problem, **run | start, trajectories=numbers)
+    for i, number in enumerate(numbers):
+        one = {"twist0": start["twist0"][i]}
+        alone = lierb.integrate(problem, **run | one, trajectories=[number])
+        assert np.array_equal(both.omega[i], alone.omega[0])
+        for name in ALL:
+            found, expected = (each.sensitivity("twist", name) for each in (both, alone))
+            assert np.array_equal(found[i], expected[0]), name
+
+
 @lierb.controller(every=0.1, level=0.5)
 def relay(omega, params):
     return {"torque": lierb.where(omega[2] > params.level, -1.0, 1.0)}

@@ -27,7 +27,7 @@ from lierb.kernels.systems.state import OK, State
 from lierb.kernels.systems.system_of import in_memory, system_of
 from lierb.kernels.tracing.trace import kernel
 
-Placed = Callable[[Any], tuple[Any, ...]]
+Placed = Callable[[Any], tuple[Any, ...]]  # place of a number, by its index in a row
 
 
 class Tables(NamedTuple):

@@ -39,12 +39,12 @@ from lierb.kernels.systems.measures import SUMMARY
     ROWS,
 ) = range(21)  # fmt: skip
 # Words exchanged between a loop and the services.
-COPY = 8  # numbers of a copy, see `copy`
 KIND, TASK, TURN, FIRST_EVENT, TRIES, IS_NEW, ANY_ACTIVE, SHARE, SHARE_END, REQUEST = range(10)
 TAKE_NEXT, COPY_ENDS, COPY_ROW = range(3)  # kinds of requests to `serve`
 SAMPLES = 4  # number of samples of events in a step, equidistant, including its end
 STARTS = SUMMARY.index("starts")  # known before a trajectory runs
 EVENT_COLUMNS = 3  # trajectory, event, t
+COPY = 8  # numbers of a copy, see `copy`
 
 
 @shared
