@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 import warnings
 from collections.abc import Iterable, Mapping
 from typing import Any
@@ -29,10 +28,8 @@ from lierb.errors import ArgumentError, FailedFitWarning
 from lierb.model.mechanism.mechanism import Mechanism
 from lierb.model.problem import Problem
 from lierb.runs.switches import warn_of_switches
-from lierb.runs.threads import threads_for
 from lierb.runs.variations import Variation, with_start
 from lierb.support.collected_warnings import warnings_collected
-from lierb.support.forks import check_threads
 from lierb.support.memory import require_memory
 from lierb.support.progress import Progress, check_progress, reporter
 from lierb.support.representations import counted
@@ -143,8 +140,6 @@ def fits(
     start = with_start(model, flat_start(pose0, 2), flat_start(twist0, 1))
     base = of_experiments(start, given.count // count, count)
     runs = fit_runs(given, t0, t_end, options)
-    check_threads()
-    runs = runs._replace(threads=threads_for(runs.threads, sys.maxsize))  # Numba's are a thread's
     warn_of_switches(model, stacklevel=3)
     variation = Variation(base, chosen, runs.options(model).timing.t0)
     with warnings_collected(), warnings.catch_warnings():

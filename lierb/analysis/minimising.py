@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from lierb.analysis.identifiability import few_samples
 from lierb.analysis.least_squares import Steps, next_radius, steps_of
 from lierb.analysis.side_by_side import Experiments, Members, State, part_of
-from lierb.compiler.threads import begun
 from lierb.support.arrays import Array
 
 FIRST_STEP = 0.3  # length of the first step relative to sizes; later ones may be longer
@@ -68,20 +67,13 @@ class Minimisation:
         report : function of the number of experiments that have ended.
         """
         while (running := np.flatnonzero(self.codes == RUNNING)[:most]).size:
-            # NumPy prepares steps of one half while compiled code runs the other half.
-            halves = [part for part in np.array_split(running, 2) if part.size]
-            for wait in [begun(self._go_on, half) for half in halves]:
-                wait()
+            own = part_of(self.state, running)
+            steps = steps_of(in_coordinates(own), own["scales"], self.radius[running])
+            self.codes[running] = self._ends(running, own, steps)
+            going = self.codes[running] == RUNNING
+            if going.any():
+                self._iterate(running[going], part_of(own, going), steps.part(going))
             report(int(np.count_nonzero(self.codes)))
-
-    def _go_on(self, running: Members) -> None:
-        """Make one iteration of experiments, or end them."""
-        own = part_of(self.state, running)
-        steps = steps_of(in_coordinates(own), own["scales"], self.radius[running])
-        self.codes[running] = self._ends(running, own, steps)
-        going = self.codes[running] == RUNNING
-        if going.any():
-            self._iterate(running[going], part_of(own, going), steps.part(going))
 
     def _ends(self, running: Members, own: State, steps: Steps) -> NDArray[np.int64]:
         """Return the codes of experiments at their points."""

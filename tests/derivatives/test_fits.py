@@ -383,7 +383,7 @@ def test_an_interrupted_fit_leaves_nothing_behind():
 
 
 def test_fits_run_on_the_callers_number_of_threads(monkeypatch):
-    """Numba's number of threads is that of a Python thread, and steps run in threads of fits."""
+    """Numba's number of threads is that of a Python thread: fits must not run in another one."""
     used, running = set(), driver.running
     monkeypatch.setattr(driver, "running", lambda count: used.add(count) or running(count))
     before = numba.get_num_threads()
