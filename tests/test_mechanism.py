@@ -552,20 +552,51 @@ def test_a_projected_twist_is_accepted_near_a_singular_pose(offset):
                 assert max(np.abs(twist[n][2]) for n in made.names) > 1e-3  # it still moves
 
 
-@pytest.mark.parametrize("offset", [0.0, 1e-12, 1e-9, 1e-6])
-def test_a_projected_twist_is_accepted_at_a_dead_point(offset):
-    """Crank and rod in line: the slider is at rest, but for rounding."""
-    bars = {x: lierb.bodies.box((x, 0.02, 0.02), density=2700.0) for x in (0.1, 0.3, 0.05)}
+def slider_crank(width=0.02, misfit=0.0):
+    """Crank of 0.1 m, rod of 0.3 m, slider along e₁; the pin is off the plane by a misfit in m."""
+    bars = {x: lierb.bodies.box((x, width, width), density=2700.0) for x in (0.1, 0.3, 0.05)}
     revolute = lierb.joints.revolute
     rod = revolute((-0.15, 0.0, 0.0), parent_point=(0.05, 0.0, 0.0))
-    made = lierb.Mechanism(
+    return lierb.Mechanism(
         [
             lierb.Link("crank", bars[0.1], revolute((-0.05, 0.0, 0.0))),
             lierb.Link("rod", bars[0.3], rod, "crank"),
             lierb.Link("slider", bars[0.05], lierb.joints.prismatic(axis=(1.0, 0.0, 0.0))),
         ],
-        lierb.Loop("pin", revolute((0.15, 0.0, 0.0)), "rod", "slider"),
+        lierb.Loop("pin", revolute((0.15, 0.0, misfit)), "rod", "slider"),
     )
+
+
+@pytest.mark.parametrize("share", np.linspace(0.3, 1.0, 8).round(1))
+def test_a_twist_is_projected_where_a_pin_is_off_its_plane(share):
+    """`close` leaves gaps of up to 1e-9; rates that its rows cannot keep are as small."""
+    made, angle, rate = slider_crank(0.6, share * 1e-9), 0.7, 9.0
+    tilt = np.arcsin(np.sin(angle) / 3.0)
+    near = {
+        "crank": angle,
+        "rod": -angle - tilt,
+        "slider": 0.1 * np.cos(angle) + 0.3 * np.cos(tilt),
+    }
+    pose = made.close(made.pose(near))
+    slope = np.cos(angle) / (3.0 * np.cos(tilt))  # of the rod's tilt by the crank's angle
+    rates = {
+        "crank": rate,
+        "rod": -rate * (1.0 + slope),
+        "slider": -rate * (0.1 * np.sin(angle) + 0.3 * np.sin(tilt) * slope),
+    }
+    twist = made.project(made.twist(rates, pose), pose)
+    for name, found in made.velocities(twist, pose).items():
+        assert found.item() == pytest.approx(rates[name], rel=1e-7)
+    assert made.violation(pose, twist) is None
+    turning = made.project(made.twist({"crank": rate}, pose), pose)
+    assert made.violation(pose, turning) is None
+    assert np.abs(turning["crank"][2]) > 0.1
+
+
+@pytest.mark.parametrize("offset", [0.0, 1e-12, 1e-9, 1e-6])
+def test_a_projected_twist_is_accepted_at_a_dead_point(offset):
+    """Crank and rod in line: the slider is at rest, but for rounding."""
+    made = slider_crank()
     for crank, slider in ((0.0, 0.4), (np.pi, 0.2)):
         near = {"crank": crank + offset, "rod": -crank - 1.3 * offset, "slider": slider}
         pose = made.close(made.pose(near))

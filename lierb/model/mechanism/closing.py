@@ -23,9 +23,9 @@ from lierb.kernels.mechanics.rows import Row
 from lierb.kernels.mechanics.scale import START_TOLERANCE
 from lierb.kernels.numbers.arithmetic import plain, where
 from lierb.kernels.numbers.vec import Vec, add
-from lierb.model.mechanism.decomposition import summed
+from lierb.model.mechanism.decomposition import RANK_TOLERANCE, summed
 from lierb.model.mechanism.kinematics import TreeKinematics
-from lierb.model.mechanism.residuals import are_accepted, excess_of, no_convergence
+from lierb.model.mechanism.residuals import are_accepted, excess_of, misfit_of, no_convergence
 from lierb.model.mechanism.row_system import (
     NEWTON_STEPS,
     ConnectionState,
@@ -328,11 +328,13 @@ def _projected(part: Part, t0: float) -> list[Array]:
 
     is_driven = np.any(goal, axis=1)
     twists = nearest(start)
-    # Near a singular pose, nearly redundant rows decide whether a start is accepted.
+    # Near a singular pose, nearly redundant rows decide whether a start is accepted, unless the
+    # pose leaves them open: redundant rows are then dependent only to that accuracy.
     missed = np.max(np.abs(goal - rates(twists)), axis=1) > MISSED * decomposed.speed(twists)
     missed &= ~is_driven
     if missed.any():
-        decomposed.ranks = np.where(missed, decomposed.ranks_above(MISSED), decomposed.ranks)
+        least = np.clip(misfit_of(system.count, states), MISSED, RANK_TOLERANCE)
+        decomposed.ranks = np.where(missed, decomposed.ranks_above(least), decomposed.ranks)
         pairs = zip(nearest(twists), twists, strict=True)
         twists = [where(missed, second, first) for second, first in pairs]
     residual = np.abs(goal - rates(twists))

@@ -71,9 +71,12 @@ class Decomposed:
         self.u = u[..., : self.values.shape[1]]
         self.ranks = self.ranks_above(RANK_TOLERANCE)
 
-    def ranks_above(self, tolerance: float) -> Array:
-        """Return the number of singular values above this fraction of the largest one."""
-        kept = self.values > tolerance * self.values[:, :1]
+    def ranks_above(self, tolerance: Array | float) -> Array:
+        """Return the number of singular values above a fraction of the largest one.
+
+        tolerance : the fraction, (count,) or for all.
+        """
+        kept = self.values > np.reshape(tolerance, (-1, 1)) * self.values[:, :1]
         ranks: Array = np.count_nonzero(kept, axis=1)
         return ranks
 

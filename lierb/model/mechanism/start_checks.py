@@ -26,6 +26,7 @@ from lierb.kernels.numbers.vec import Vec, cross_add, norm, sub
 from lierb.model.base import Model
 from lierb.model.mechanism.closing import closed, mobility, unfit_positions
 from lierb.model.mechanism.kinematics import TreeKinematics
+from lierb.model.mechanism.residuals import misfit_of
 from lierb.model.mechanism.row_system import (
     ConnectionState,
     System,
@@ -59,6 +60,7 @@ class Start(NamedTuple):
     turned : text on what to turn if a joint is half a turn off.   closing : text on the effect of
     `close` on a member.   is_default : True if the twist is rest, by default.
     projecting : text on the effect of `project`.
+    misfit : bound of the rates of redundant rows, relative to the speed; see `misfit_of`.
     """
 
     joints: list[tuple[str, ConnectionState]]
@@ -69,6 +71,7 @@ class Start(NamedTuple):
     closing: Callable[[int], str]
     is_default: bool
     projecting: str
+    misfit: Any = 0.0
 
 
 def violation_of_body(
@@ -145,7 +148,8 @@ def start_of_mechanism(mechanism: TreeKinematics, pose: Any, twist: Any, t0: flo
     rest = "mechanism.twist({})"
     projecting = _projecting("mechanism", rest, "all joints allow", rows, t0, is_default)
     members = Members(0, count, count)
-    return Start(joints, speed, t0, members, "a link", closing, is_default, projecting)
+    misfit = misfit_of(count, [h for _, h in joints])
+    return Start(joints, speed, t0, members, "a link", closing, is_default, projecting, misfit)
 
 
 def _projecting(
@@ -219,7 +223,7 @@ def _twist_violation(start: Start, name: str, h: ConnectionState) -> TwistError 
     off = [h.rate(r) - rate for r, rate in zip(h.at.rows, rates, strict=True)]
     sizes = map(sqrt, map(plain, squares_by_kind(h.at.rows, off)))
     for what, unit, size, allowed in zip(
-        ("velocity", "rotation rate"), ("m/s", "rad/s"), sizes, _rate_tolerances(h, start.speed),
+        ("velocity", "rotation rate"), ("m/s", "rad/s"), sizes, _rate_tolerances(h, start),
         strict=True,
     ):  # fmt: skip
         for member in _beyond(size, allowed, start.members.size):
@@ -246,17 +250,17 @@ def _beyond(size: Any, allowed: Any, count: int) -> list[int]:
     return indices
 
 
-def _rate_tolerances(h: ConnectionState, speed: Any) -> tuple[Any, Any]:
+def _rate_tolerances(h: ConnectionState, start: Start) -> tuple[Any, Any]:
     """Tolerances, m/s and rad/s, relative to speed and to the effect of forces in ℓ/speed."""
-    position = START_TOLERANCE * h.length + h.rounding
+    relative = START_TOLERANCE + start.misfit
     ahead = sqrt(norm(h.parameters.gravity) / h.length)
     for r in h.at.rows:
         if r.depends_on_time:
             ahead = ahead + sqrt(absolute(plain(r.acceleration(h.x, h.body))))
     brought = ROUNDING * ahead
     return (
-        position / h.length * speed + h.length * brought,
-        START_TOLERANCE * speed / h.length + brought,
+        (relative + h.rounding / h.length) * start.speed + h.length * brought,
+        relative * start.speed / h.length + brought,
     )
 
 
