@@ -105,7 +105,7 @@ def no_convergence(
 
     def largest(pair: tuple[ConnectionState, list[Any]]) -> float:
         gaps = (one_of(gap.size / gap.most, member) for gap in _gaps(*pair))
-        return max(np.nan_to_num([*gaps, 0.0], nan=np.inf))
+        return float(max(np.nan_to_num([*gaps, 0.0], nan=np.inf)))
 
     s, values = max(zip(states, off, strict=True), key=largest)
     rows, freedoms = sum(len(each.at.rows) for each in states), 6 * len(system.mechanism.links)
