@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 MOST_LISTED = 40  # lines of numbers in a description
-HELD = ", held by joints"  # a number of a start that cannot change
+HELD = ", held"  # by joints or loops: a number that cannot change
 ROUNDED = 12  # decimals of printed poses, whose zeros are rounding errors
 # Least chi2 per freedom f that counts as a misfit, and its least excess over 1, in standard
 # deviations √(2/f) of chi2/f: noise does not reach it, and a sigma rough by a third neither.
@@ -69,13 +69,16 @@ class Fit(Estimates):
         an axis (n, …) for several trajectories.
     standard_errors : dict of ndarray
         Standard deviation of each number, likewise; of a pose (6,), of ε in C exp ε. Infinite for
-        numbers that the data do not tell, 0 for those of a start that joints hold.
+        numbers that the data do not tell, 0 for those that joints or loops hold.
     covariance : ndarray, shape (p, p)
         Covariance of all numbers, in the order of `labels`, of the directions that the data tell.
     labels : tuple of str
         Name of each number, such as "body.inertia[12]", or "omega0[3][0]" for trajectory 3.
     unidentifiable : tuple of Direction
         Combinations of numbers that the data cannot tell, each with `changes` and a `sentence`.
+    held : tuple of Direction
+        Combinations of the model's numbers that stay as they are, likewise, because the loops do
+        not close otherwise: the pin of a planar loop stays in its plane.
     problem : Problem or Mechanism
         The problem with the estimated numbers.
     start : dict
@@ -95,7 +98,7 @@ class Fit(Estimates):
     freedoms : int
         Number of residuals minus number of directions that the data tell.
     converged : bool
-        True if the estimate is a minimum, to the tolerance.
+        True if the estimate is a minimum: no small step decreases chi2 beyond rounding.
     status : str
         Reason why the iteration has ended, then the numbers that bounds stop, such as
         "body.mass is at its upper bound". Standard errors do not hold there.
@@ -108,6 +111,7 @@ class Fit(Estimates):
     covariance: Array
     labels: tuple[str, ...]
     unidentifiable: tuple[Direction, ...]
+    held: tuple[Direction, ...]
     problem: Problem | Mechanism
     start: dict[str, Any]
     result: Result
@@ -232,6 +236,8 @@ class Fit(Estimates):
         )
         if self.unidentifiable:
             rows.append(("not told", "\n".join(map(str, self.unidentifiable))))
+        if self.held:
+            rows.append(("held", "\n".join(map(str, self.held))))
         if self.misfit:
             rows.append(("misfit", self.misfit))
         rows.append(("ended" if self.converged else FAILED, self.status))

@@ -6,8 +6,10 @@ from collections.abc import Mapping
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lierb.analysis.identifiability import Identified, identified
+from lierb.analysis.least_squares import steps_of, triangular
 from lierb.analysis.measurements import Measured, Measurements
 from lierb.analysis.unknowns import Unknowns
 from lierb.analysis.varied_runs import Runs
@@ -27,7 +29,7 @@ class Task:
     def __init__(
         self, variation: Variation, data: Measurements, runs: Runs, least: Array | None = None
     ) -> None:
-        """least : least size of each unknown; that of a number that becomes zero is no guide."""
+        """least : least sizes of the numbers; that of one that becomes zero is no guide."""
         self.variation, self.data, self.runs = variation, data, runs
         self.unknowns = Unknowns(variation, data.count, least)
 
@@ -51,11 +53,32 @@ class Task:
         return self.runs._replace(keywords=self.runs.keywords | {"max_steps": most})
 
     @cached_property
+    def slope(self) -> Array:
+        """Return the derivatives of the weighted residuals by the unknowns at the base."""
+        return self.by_unknowns(self.at_base, self.unknowns.changes(self.unknowns.base))
+
+    @cached_property
     def told(self) -> Identified:
         """Return the unknowns at the base as far as data tell them."""
-        unknowns = self.unknowns
-        jacobian = self.by_unknowns(self.at_base, unknowns.changes(unknowns.base))
-        return identified(jacobian, unknowns.sizes)
+        return identified(self.slope, self.unknowns.sizes)
+
+    @property
+    def chi2(self) -> float:
+        """Return the sum of squares at the base."""
+        weighted = self.weighted(self.at_base)
+        return float(weighted @ weighted)
+
+    def is_minimum(self, free: NDArray[np.bool_]) -> bool:
+        """Return whether no step from the base decreases the sum of squares beyond rounding.
+
+        free : False for unknowns at their bounds.
+        """
+        rows = np.column_stack([self.slope[:, free], self.weighted(self.at_base)])
+        steps = steps_of(
+            triangular(rows)[None], self.unknowns.sizes[None, free], np.array([np.inf])
+        )
+        freedoms = max(len(rows) - self.told.rank, 1)
+        return bool(steps.are_close(np.sqrt([self.chi2 / freedoms])).all())
 
     @cached_property
     def pull(self) -> Array:
@@ -127,6 +150,7 @@ class Task:
     ) -> None:
         """Fill in the rows of one column of the data."""
         unknowns, starts = self.unknowns, []
+        numbers = np.zeros((len(rows), unknowns.number_count))
         slope = column.quantity.slope(off)
         for p in self.variation.parameters:
             own = column.derivative(result, p, slope)
@@ -134,14 +158,15 @@ class Task:
                 turned = unknowns.turned(changes, p)
                 starts.append(own if turned is None else own @ turned)
             else:
-                rows[:, unknowns.slices[p.name]] = own[column.present]
+                numbers[:, unknowns.slices[p.name]] = own[column.present]
+        rows[:, : unknowns.shared] = unknowns.follow.by_unknowns(numbers)
         if not starts:
             return
-        moved, numbers = (
+        moved, places = (
             np.concatenate(starts, -1),
             np.cumsum(column.present).reshape(column.present.shape),
         )
         pairs = zip(unknowns.bases, unknowns.start_slices, strict=True)
         for i, (basis, part) in enumerate(pairs):
             chosen = column.present[:, i]
-            rows[numbers[:, i][chosen] - 1, part] = moved[:, i][chosen] @ basis
+            rows[places[:, i][chosen] - 1, part] = moved[:, i][chosen] @ basis

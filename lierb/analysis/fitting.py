@@ -9,10 +9,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from lierb.analysis.bounds import bounds_of
 from lierb.analysis.fit_result import Fit
 from lierb.analysis.fit_task import Task
 from lierb.analysis.guesses import guessed
 from lierb.analysis.identifiability import (
+    HELD,
     Direction,
     Identified,
     described,
@@ -209,7 +211,10 @@ def _solved(variation: Variation, data: Measurements, runs: Runs, bounds: Any, m
         x, solution, sides = _minimised(task, bounds, max(most - evaluations, 1))
         evaluations += int(solution.nfev)
         moved = Variation(task.varied(x), variation.parameters, variation.t0)
-        task = Task(moved, data, runs, before.sizes)
+        nearer = Task(moved, data, runs, before.number_sizes)
+        if nearer.chi2 > task.chi2:  # the base is as good to rounding, or its start was not kept
+            break
+        task = nearer
         has_moved = np.any(np.abs(x - before.base) > MOVED * (np.abs(x) + before.scales))
         # Such a start depends on the steps towards it, not on the last numbers alone.
         has_a_path = variation.has_rows and variation.moves_poses
@@ -228,7 +233,7 @@ def _minimised(task: Task, bounds: Any, most: int) -> tuple[Array, Any, Array]:
 
     _ = task.at_base  # raises if the run of the guess fails
     x, scales = task.unknowns.base, FIRST_STEP * task.unknowns.scales
-    low, high = ((end - x) / scales for end in task.unknowns.bounds(bounds))
+    low, high = ((end - x) / scales for end in bounds_of(task.unknowns, bounds))
     solution = least_squares(
         lambda u: task.residuals(x + scales * u),
         np.zeros_like(x),
@@ -261,34 +266,39 @@ def _report(task: Task, solution: Any, evaluations: int, sides: Array) -> Fit:
         for column, off in zip(task.data.columns, differences, strict=True)
     }
     at_bounds = {
-        unknowns.labels[i]: "upper" if sides[i] > 0.0 else "lower" for i in np.flatnonzero(sides)
+        unknowns.labels[unknowns.follow.free[i]]: "upper" if sides[i] > 0.0 else "lower"
+        for i in np.flatnonzero(sides)
     }
     model: Any = varied.model
+    is_minimum = solution.status > 0 and task.is_minimum(sides == 0.0)
     return Fit(
         estimate=unknowns.estimate, standard_errors=unknowns.by_parameter(deviations),
         covariance=covariance, labels=unknowns.labels,
         unidentifiable=described_directions(
             unknowns, told, unknowns.spread, unknowns.all_values
         ),
+        held=held_directions(unknowns, unknowns.follow.held),
         problem=model, start={**varied.start, "t0": task.variation.t0}, result=result,
         t=task.data.t, residuals=residuals,
         units={column.quantity.name: column.quantity.unit for column in task.data.columns},
         has_sigma=task.data.has_sigma,
         chi2=chi2, freedoms=freedoms,
-        converged=bool(solution.status > 0), status=_status(solution, at_bounds),
+        converged=is_minimum, status=_status(solution, is_minimum, at_bounds),
         evaluations=evaluations, _at_bounds=at_bounds,
     )  # fmt: skip
 
 
-def _status(solution: Any, at_bounds: Mapping[str, str]) -> str:
+def _status(solution: Any, is_minimum: bool, at_bounds: Mapping[str, str]) -> str:
     reasons = {
         0: "max_evaluations is reached; raise it, or begin with a better guess",
         1: "the gradient is zero", 2: "the sum of squares decreases no more",
         3: "the estimate changes no more",
         4: "neither the sum of squares nor the estimate changes any more",
     }  # fmt: skip
+    stuck = "no step decreases the sum of squares: runs nearby fail, or residuals jump"
+    reason = stuck if solution.status > 0 and not is_minimum else reasons[int(solution.status)]
     bounded = [f"{label} is at its {side} bound" for label, side in at_bounds.items()]
-    return "; ".join((reasons[int(solution.status)], *bounded))
+    return "; ".join((reason, *bounded))
 
 
 def described_directions(
@@ -300,3 +310,13 @@ def described_directions(
     """
     labels, units = unknowns.labels, unknowns.units
     return tuple(described(spread @ change, labels, values, units) for change in told.null)
+
+
+def held_directions(unknowns: Unknowns, held: Array) -> tuple[Direction, ...]:
+    """Describe the directions of the model's numbers that loops hold.
+
+    held : `Followed.held` of one experiment.
+    """
+    labels, units, count = unknowns.labels, unknowns.units, unknowns.number_count
+    own = labels[:count], np.zeros(count), units[:count]
+    return tuple(described(change, *own, HELD) for change in held)

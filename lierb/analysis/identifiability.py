@@ -20,6 +20,8 @@ NO_DIFFERENCE = 1e-8
 SHARE = 1e-6  # smaller components of a unit vector count as zero
 SAME = 1e-3  # relative changes that differ by less are one scale
 MOST_NAMED = 4  # numbers in the description of a direction
+NEUTRAL = "has no effect", "together have no effect"
+HELD = "is held by loops", "together are held by loops"
 
 
 class Direction(NamedTuple):
@@ -140,7 +142,9 @@ def of_numbers(told: Identified | Decomposed, spread: Array, scale: Any) -> tupl
     scale = np.asarray(scale)[..., None, None]
     covariance = scale * (spread @ told.covariance @ spread.swapaxes(-1, -2))
     deviations = np.sqrt(np.diagonal(covariance, axis1=-2, axis2=-1))
-    is_open = np.any((spread != 0.0) & ~told.is_known[..., None, :], axis=-1)
+    sizes = np.abs(spread)
+    depends = sizes > SHARE * sizes.max(axis=-1, keepdims=True, initial=0.0)
+    is_open = np.any(depends & ~told.is_known[..., None, :], axis=-1)
     return covariance, np.where(is_open, np.inf, deviations)
 
 
@@ -165,12 +169,18 @@ def _sparse(rows: Array) -> Array:
 
 
 def described(
-    changes: Array, labels: Sequence[str], values: Array, units: Sequence[str]
+    changes: Array,
+    labels: Sequence[str],
+    values: Array,
+    units: Sequence[str],
+    ending: tuple[str, str] = NEUTRAL,
 ) -> Direction:
     """Return a direction with its description.
 
     changes : of all numbers.   values : of all numbers, zero for those of starts.
+    ending : of the sentences on one number or scale, and on several numbers.
     """
+    one, several = ending
     weights = np.abs(changes) / np.where(values != 0.0, np.abs(values), 1.0)
     chosen = np.flatnonzero(np.abs(changes) > 0.0)
     chosen = chosen[np.argsort(-weights[chosen], kind="stable")] if len(chosen) else chosen
@@ -180,14 +190,14 @@ def described(
     names = [labels[i] for i in order]
     by_label = {labels[i]: float(changes[i]) for i in order}
     if len(names) == 1:
-        return Direction(by_label, f"{names[0]} has no effect")
+        return Direction(by_label, f"{names[0]} {one}")
     own = values[order]
     ratios = changes[order] / np.where(own != 0.0, own, np.nan)
     if np.all(np.abs(ratios / ratios[0] - 1.0) < SAME):
         owners = dict.fromkeys(name.rpartition("[")[0] or name for name in names)
-        return Direction(by_label, f"the common scale of {_listed(list(owners))} has no effect")
+        return Direction(by_label, f"the common scale of {_listed(list(owners))} {one}")
     parts = [f"{labels[i]} by {changes[i]:+.4g} {units[i]}".rstrip() for i in chosen]
-    return Direction(by_label, f"{_listed(parts)} together have no effect")
+    return Direction(by_label, f"{_listed(parts)} {several}")
 
 
 def _listed(parts: Sequence[str]) -> str:

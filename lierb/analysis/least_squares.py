@@ -16,6 +16,8 @@ from numpy.typing import NDArray
 from lierb.analysis.identifiability import decomposed
 from lierb.support.arrays import Array
 
+CLOSE = 1e-3  # offset from a minimum, in standard deviations of the residuals, that counts as none
+CLOSE_ROUNDING = 1e-9  # the same relative to the response
 BLOCK = 4096  # numbers of a block of rows; larger ones occupy threads of BLAS, which takes longer
 PULL = 1e-8  # weight of the point, relative to the data's: directions that these do not tell stay
 HALVINGS = 40  # of the interval of log λ
@@ -44,6 +46,11 @@ class Steps(NamedTuple):
 
     def part(self, which: NDArray[Any]) -> Steps:
         return Steps(*(each[which] for each in self))
+
+    def are_close(self, deviation: Array) -> NDArray[np.bool_]:
+        """Return True for problems near a minimum.   deviation : of the residuals, [problem]."""
+        most = np.maximum(CLOSE * deviation, CLOSE_ROUNDING * self.response)
+        return np.asarray(self.offset <= most)
 
 
 def triangular(rows: Array) -> Array:

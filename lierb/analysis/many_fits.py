@@ -10,7 +10,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lierb.analysis.experiments import flat_start, measured_experiments, of_experiments
-from lierb.analysis.fitting import chosen_and_guesses, described_directions, fit_runs, require_whole
+from lierb.analysis.fitting import (
+    chosen_and_guesses,
+    described_directions,
+    fit_runs,
+    held_directions,
+    require_whole,
+)
 from lierb.analysis.guesses import guessed
 from lierb.analysis.identifiability import (
     Direction,
@@ -193,7 +199,9 @@ def _report(experiments: Experiments, ends: Minimisation) -> Fits:
         covariance=covariance, labels=unknowns.labels, has_sigma=experiments.data.has_sigma,
         chi2=chi2, freedoms=freedoms, converged=ends.converged, status=ends.reasons,
         iterations=ends.iterations, not_told=not_told,
-        unidentifiable=_directions(unknowns, state, not_told), problem=model,
+        unidentifiable=_directions(unknowns, state, not_told),
+        held=held_directions(unknowns, unknowns.follow.held[0]),
+        problem=model,
         start={**varied.start, "t0": variation.t0},
         units={p.name: p.unit for p in experiments.parameters},
     )  # fmt: skip

@@ -37,7 +37,8 @@ class Fits(Estimates):
         (n, 4, 4).
     standard_errors : dict of ndarray
         Standard deviation of each number, likewise; of a pose (n, 6), of ε in C exp ε. Infinite
-        for numbers that the data of this experiment do not tell, 0 for those that joints hold.
+        for numbers that the data of this experiment do not tell, 0 for those that joints or loops
+        hold.
     covariance : ndarray, shape (n, p, p)
         Covariance of all numbers, in the order of `labels`, of the directions that the data tell.
     labels : tuple of str
@@ -58,6 +59,8 @@ class Fits(Estimates):
         Number of directions that the data of each experiment do not tell.
     unidentifiable : tuple of Direction
         These directions of the first such experiment, each with `changes` and a `sentence`.
+    held : tuple of Direction
+        Combinations of the model's numbers that loops hold, as in `Fit`, of the first experiment.
     problem : Problem or Mechanism
         The problem with the estimated numbers of all trajectories, experiment by experiment.
     start : dict
@@ -78,6 +81,7 @@ class Fits(Estimates):
     iterations: NDArray[np.int64]
     not_told: NDArray[np.int64]
     unidentifiable: tuple[Direction, ...]
+    held: tuple[Direction, ...]
     problem: Problem | Mechanism
     start: dict[str, Any]
     units: dict[str, str]
@@ -111,7 +115,7 @@ class Fits(Estimates):
 
         It is about 1 if all experiments measure the same numbers and linear theory holds, but for
         a pose that points of its joint move, which are estimated too. It is NaN for numbers that
-        joints hold.
+        joints or loops hold.
         """
         ratios = {}
         for name, each in self._deviations.items():
@@ -174,6 +178,8 @@ class Fits(Estimates):
         if len(some := np.flatnonzero(self.not_told)):
             first = "; ".join(each.sentence for each in self.unidentifiable)
             rows.append(("not told", f"in {counted(len(some), 'fit')}, in fit {some[0]}: {first}"))
+        if self.held:
+            rows.append(("held", "\n".join(map(str, self.held))))
         return title, [*rows, *(self._numbers() if good else ())]
 
     def _lines(self, name: str, labels: list[str]) -> Iterator[tuple[str, str]]:

@@ -17,8 +17,6 @@ OFFSET = 1e-6  # of the estimate from the minimum, in standard errors: Bates and
 STILL = 1e-11  # step, relative to sizes, that counts as none
 ROUNDING = 1e-12  # change of the residuals, relative to that by unknowns of their sizes
 SUM_ROUNDING = 1e-12  # relative, of a sum of squares
-CLOSE = 1e-3  # offset with which an estimate without a shorter step counts as a minimum
-CLOSE_ROUNDING = 1e-9
 
 RUNNING, CONVERGED, UNCHANGED, STUCK, LIMIT, FAILED, FEW = range(7)
 REASONS = {
@@ -82,13 +80,10 @@ class Minimisation:
         begun = self.iterations[running] >= 0
         exact = steps.offset <= ROUNDING * steps.response
         converged = (steps.offset <= OFFSET * deviation) | exact
-        close = (steps.offset <= CLOSE * deviation) | (
-            steps.offset <= CLOSE_ROUNDING * steps.response
-        )
         shortest = np.minimum(steps.length, self.radius[running]) <= STILL
         is_last = self.iterations[running] >= self.max_iterations
         return np.select(
-            [~begun, converged, shortest & close, shortest, is_last],
+            [~begun, converged, shortest & steps.are_close(deviation), shortest, is_last],
             [RUNNING, CONVERGED, UNCHANGED, STUCK, LIMIT],
             RUNNING,
         )

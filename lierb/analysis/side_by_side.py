@@ -53,7 +53,8 @@ class Experiments:
         self.total = data.count // count
         self.fixed = fixed_directions(variation)
         unknowns = Unknowns(variation, count, experiments=self.total)
-        self.size, self.least, self.bases = unknowns.size, unknowns.sizes, unknowns.bases
+        self.size, self.shared, self.follow = unknowns.size, unknowns.shared, unknowns.follow
+        self.sizes, self.least, self.bases = unknowns.sizes, unknowns.number_sizes, unknowns.bases
         present = [column.present.sum((0, 2)) for column in data.columns]
         self.residuals = np.sum(present, axis=0).reshape(-1, count).sum(-1)  # [experiment]
         self.most_steps: int | None = None
@@ -72,14 +73,13 @@ class Experiments:
 
     def at_guess(self) -> State:
         """Return the points of all experiments, with room for what `tried` returns."""
-        n, size = self.total, self.size
-        shared = sum(p.size for p in self.parameters if not p.is_start)
+        n, size, shared = self.total, self.size, self.shared
         point = self.point_of(self.variation.base)
         return {
             k: np.broadcast_to(x, (n, *x.shape[1:])).copy() for k, x in point.items()
         } | {
             "factor": np.zeros((n, size + 1, size + 1)), "chi2": np.full(n, np.inf),
-            "slope": np.zeros((n, shared, shared)), "sizes": self.least.copy(),
+            "slope": np.zeros((n, shared, shared)), "sizes": self.sizes.copy(),
             "scales": np.ones((n, size)), "bases": self.bases.copy(),
             "reason": np.full(n, "", dtype=object),
         }  # fmt: skip
@@ -116,7 +116,9 @@ class Experiments:
 
         bases : those by which "factor" differentiates; others may span the same directions.
         """
-        unknowns = Unknowns(variation, self.count, self.least[members], len(members))
+        unknowns = Unknowns(
+            variation, self.count, self.least[members], len(members), self.follow.part(members)
+        )
         if bases is not None:
             unknowns.bases = bases
         return unknowns
@@ -208,14 +210,14 @@ class Experiments:
         is_finite = np.isfinite(rows).all((-2, -1)).reshape(-1, self.count)
         if not is_finite.all():
             rows[~is_finite.ravel()] = 0.0
-        raw, shared = triangular(rows), unknowns.shared
+        raw, numbers = triangular(rows), unknowns.number_count
         lead = raw.reshape(len(members), self.count, *raw.shape[1:])
-        starts = lead[..., shared:-1] @ unknowns.bases
+        starts = lead[..., numbers:-1] @ unknowns.bases
         height = raw.shape[-2]
         whole = np.zeros((len(members), self.count * height, self.size + 1))
         for i, part in enumerate(unknowns.start_slices):
             own = whole[:, i * height : (i + 1) * height]
-            own[..., :shared] = lead[:, i, :, :shared]
+            own[..., : unknowns.shared] = unknowns.follow.by_unknowns(lead[:, i, :, :numbers])
             own[..., part] = starts[:, i]
             own[..., -1] = lead[:, i, :, -1]
         return triangular(whole), np.all(is_finite, axis=-1)

@@ -10,16 +10,17 @@ from __future__ import annotations
 from collections.abc import Mapping
 from functools import cached_property
 from math import prod
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
+from lierb.analysis.followed import Followed, followed
 from lierb.analysis.pseudo_inertia import SIZES, body_of, coordinates_of, derivatives_of
-from lierb.errors import ArgumentError, brief, unknown_name
+from lierb.errors import ArgumentError
 from lierb.lie import se3
 from lierb.runs.parameters import SYMMETRIC, Parameter, chosen_parameters, slices_of
 from lierb.runs.variations import Variation
-from lierb.support.arrays import Array, as_floats
+from lierb.support.arrays import Array
 
 RANK = 1e-9  # relative size of directions that joints do not admit
 ROUNDING = 1e-12  # the same of components that joints hold, and of coordinates at a bound
@@ -49,18 +50,22 @@ class Unknowns:
         count: int,
         least: Array | None = None,
         experiments: int | None = None,
+        follow: Followed | None = None,
     ) -> None:
-        """least : least size of each unknown, such as that of the guess.
+        """least : least sizes of the numbers, `number_sizes` of the guess.
 
         experiments : number of experiments with unknowns of their own; None for a single one,
         without the axis.
+        follow : the model's numbers by their unknowns; those of the variation if None.
         """
         self.variation, self.count, self._least = variation, count, least
+        self.follow = follow or followed(variation, count, experiments)
         self.lead = () if experiments is None else (experiments,)
         self.numbers = [p for p in variation.parameters if not p.is_start]
         self.starts = [p for p in variation.parameters if p.is_start]
         self.slices, self.start_parts = slices_of(self.numbers), slices_of(self.starts)
-        self.shared = sum(p.size for p in self.numbers)  # unknowns of all trajectories together
+        self.number_count = sum(p.size for p in self.numbers)
+        self.shared = len(self.follow.free)  # unknowns of all trajectories together
 
     # ---- starts --------------------------------------------------------------------------------
 
@@ -109,10 +114,10 @@ class Unknowns:
         links, whose numbers depend on each other.
         """
         width, moved = self.bases.shape[-2], self._changes_of_starts @ self.bases
-        matrix = np.zeros((*self.lead, self.shared + self.count * width, self.size))
-        matrix[..., range(self.shared), range(self.shared)] = 1.0
+        matrix = np.zeros((*self.lead, self.number_count + self.count * width, self.size))
+        matrix[..., : self.number_count, : self.shared] = self.follow.matrix
         for i, part in enumerate(self.start_slices):
-            first = self.shared + i * width
+            first = self.number_count + i * width
             matrix[..., first : first + width, part] = moved[..., i, :, :]
         matrix[np.abs(matrix) < ROUNDING * np.abs(matrix).max(initial=0.0)] = 0.0
         return matrix
@@ -173,13 +178,29 @@ class Unknowns:
 
     @cached_property
     def base(self) -> Array:
-        """Return the coordinates at the base."""
-        x = np.zeros((*self.lead, self.size))
+        """Return the coordinates at the base, of a start zero."""
+        starts = np.zeros((*self.lead, self.size - self.shared))
+        return np.concatenate((self.base_of_numbers[..., self.follow.free], starts), -1)
+
+    @cached_property
+    def base_of_numbers(self) -> Array:
+        """Return the coordinates of all numbers of the model at the base."""
+        x = np.zeros((*self.lead, self.number_count))
         for p in self.numbers:
             x[..., self.slices[p.name]] = self.values[p.name]
         for body in self.charted:
             for name in body.unknown:
                 x[..., self.slices[f"{body.prefix}{name}"]] = body.given[name]
+        return x
+
+    def _of_numbers(self, x: Array) -> Array:
+        """Return the coordinates of all numbers of the model."""
+        free = x[..., : self.shared]
+        if self.shared == self.number_count:
+            return free
+        change = free - self.base[..., : self.shared]
+        x = self.base_of_numbers + (self.follow.matrix @ change[..., None])[..., 0]
+        x[..., self.follow.free] = free
         return x
 
     def _coordinates(self, body: Charted, x: Array) -> dict[str, Array]:
@@ -188,6 +209,7 @@ class Unknowns:
 
     def numbers_at(self, x: Array) -> dict[str, Array]:
         """Return the numbers of the model's parameters at coordinates."""
+        x = self._of_numbers(x)
         numbers = {name: x[..., part] for name, part in self.slices.items()}
         for body in self.charted:
             values = body_of(self._coordinates(body, x))
@@ -209,15 +231,16 @@ class Unknowns:
 
     def slope(self, x: Array) -> Array:
         """Return the derivatives of the shared unknowns by their coordinates."""
-        slope = np.zeros((*self.lead, self.shared, self.shared))
-        slope[..., range(self.shared), range(self.shared)] = 1.0
+        x, free = self._of_numbers(x), self.follow.free
+        slope = np.zeros((*self.lead, self.number_count, self.number_count))
+        slope[..., range(self.number_count), range(self.number_count)] = 1.0
         for body in self.charted:
             derivatives = derivatives_of(self._coordinates(body, x))
             for row in body.unknown:
                 for column in body.unknown:
                     rows, columns = (self.slices[f"{body.prefix}{x}"] for x in (row, column))
                     slope[..., rows, columns] = derivatives.get((row, column), 0.0)
-        return slope
+        return slope[..., free[:, None], free]
 
     def turned(self, changes: Mapping[str, Array], p: Parameter) -> Array | None:
         """Return the matrices from changes of a moved pose to those of its base; None if equal.
@@ -229,62 +252,40 @@ class Unknowns:
             return None
         return np.asarray(se3.dexp(-np.asarray(changes[p.name])))
 
-    # ---- bounds and sizes ----------------------------------------------------------------------
-
-    def bounds(self, given: Any) -> tuple[Array, Array]:
-        """Return the bounds of the coordinates. Raises ArgumentError."""
-        low, high = np.full(self.size, -np.inf), np.full(self.size, np.inf)
-        if given is None:
-            return low, high
-        if not isinstance(given, Mapping):
-            raise ArgumentError(f"bounds={brief(given)}; expected {{parameter: (low, high)}}")
-        masses = [f"{body.prefix}mass" for body in self.charted]
-        for name, pair in given.items():
-            part = self._bounded(name)
-            for end, value in zip((low, high), _pair(name, pair, part), strict=True):
-                if name in masses:
-                    value = 0.5 * np.log(np.maximum(value, np.finfo(float).tiny))
-                end[part] = value
-            at, rounding = self.base[part], ROUNDING * self.scales[part]
-            is_outside = (at < low[part] - rounding) | (at > high[part] + rounding)
-            if np.any(low[part] >= high[part]) or np.any(is_outside):
-                raise ArgumentError(
-                    f"bounds[{name!r}]={brief(pair)}; expected low < high, with the guess between"
-                )
-            low[part], high[part] = np.minimum(low[part], at), np.maximum(high[part], at)
-        return low, high
-
-    def _bounded(self, name: str) -> slice:
-        for body in self.charted:
-            if name == f"{body.prefix}inertia":
-                raise ArgumentError(
-                    f"bounds[{name!r}]: an inertia has no bounds, it stays that of a rigid body; "
-                    "leave them out"
-                )
-        if name in (p.name for p in self.starts):
-            raise ArgumentError(f"bounds[{name!r}]: a start has no bounds; leave them out")
-        if name not in self.slices:
-            raise unknown_name("bounds", name, self.slices)
-        return self.slices[name]
+    # ---- sizes and names -----------------------------------------------------------------------
 
     @cached_property
-    def sizes(self) -> Array:
-        """Return the typical size of each unknown: that of its parameter, 1 for a start."""
-        sizes = np.ones((*self.lead, self.size))
+    def number_sizes(self) -> Array:
+        """Return the typical size of each number of the model, that of its parameter."""
+        sizes = np.ones((*self.lead, self.number_count))
         for p in self.numbers:
             largest = np.abs(self.values[p.name]).max(axis=-1, keepdims=True)
             sizes[..., self.slices[p.name]] = np.where(largest > 0.0, largest, 1.0)
         return sizes if self._least is None else np.maximum(sizes, self._least)
 
     @cached_property
-    def scales(self) -> Array:
-        """Return the typical size of each coordinate; logarithms have 1."""
-        scales = self.sizes.copy()
+    def number_scales(self) -> Array:
+        """Return the typical size of the coordinate of each number; logarithms have 1."""
+        scales = self.number_sizes.copy()
         for body in self.charted:
             for name in ("mass", "inertia"):
                 if name in body.unknown:
                     scales[..., self.slices[f"{body.prefix}{name}"]] = 1.0
         return scales
+
+    @property
+    def sizes(self) -> Array:
+        """Return the typical size of each unknown, 1 for a start."""
+        return self._with_starts(self.number_sizes)
+
+    @property
+    def scales(self) -> Array:
+        """Return the typical size of each coordinate."""
+        return self._with_starts(self.number_scales)
+
+    def _with_starts(self, sizes: Array) -> Array:
+        starts = np.ones((*self.lead, self.size - self.shared))
+        return np.concatenate((sizes[..., self.follow.free], starts), -1)
 
     @property
     def labels(self) -> tuple[str, ...]:
@@ -304,10 +305,15 @@ class Unknowns:
 
     @property
     def all_values(self) -> Array:
-        """Return the numbers of the parameters at the base; zero for starts, which are changes."""
+        """Return the numbers of the parameters at the base; zero for starts, which are changes.
+
+        Numbers that are rounding beside others of their parameter are zero too.
+        """
         values = np.zeros((*self.lead, len(self.labels)))
         for p in self.numbers:
-            values[..., self.slices[p.name]] = self.values[p.name]
+            own, part = self.values[p.name], self.slices[p.name]
+            is_rounding = np.abs(own) < ROUNDING * self.number_sizes[..., part]
+            values[..., part] = np.where(is_rounding, 0.0, own)
         return values
 
     # ---- by parameter --------------------------------------------------------------------------
@@ -337,7 +343,7 @@ class Unknowns:
     def by_parameter(self, numbers: Array) -> dict[str, Array]:
         """Return numbers in the order of the labels by parameter, likewise."""
         by_name = {name: numbers[..., part] for name, part in self.slices.items()}
-        starts = numbers[..., self.shared :].reshape(*numbers.shape[:-1], self.count, -1)
+        starts = numbers[..., self.number_count :].reshape(*numbers.shape[:-1], self.count, -1)
         for name, part in self.start_parts.items():
             by_name[name] = starts[..., part] if self.count > 1 else starts[..., 0, part]
         return {p.name: by_name[p.name] for p in self.variation.parameters}
@@ -354,18 +360,6 @@ def _admitted(rows: Array) -> Array:
     rank = int(np.sum(values > RANK * largest, axis=-1).max())
     numbers = rows.shape[1]
     return np.eye(numbers)[None] if rank == numbers else basis[..., :rank]
-
-
-def _pair(name: str, pair: Any, part: slice) -> list[Array]:
-    expected = f"bounds[{name!r}]={brief(pair)}; expected a pair (low, high)"
-    try:
-        low, high = pair
-    except (TypeError, ValueError):
-        raise ArgumentError(expected) from None
-    ends = [as_floats(f"bounds[{name!r}]", end) for end in (low, high)]
-    if any(end.shape not in ((), (part.stop - part.start,)) or np.isnan(end).any() for end in ends):
-        raise ArgumentError(expected)
-    return ends
 
 
 def labels_of(p: Parameter) -> list[str]:

@@ -257,6 +257,12 @@ def seeds_of(parameters: Iterable[Parameter], start: Start) -> dict[str, Seeds]:
     return found
 
 
+def misfits_of(parameters: Sequence[Parameter], start: Start) -> tuple[Array, Array] | None:
+    """Return `Start.misfits` along the directions of parameters with which the start moves."""
+    pairs = zip(slices_of(parameters).values(), parameters, strict=True)
+    return start.misfits(_stacked([(part, p.seeds(start)) for part, p in pairs]))
+
+
 def _stacked(changes: Sequence[tuple[slice, Seeds]]) -> Seeds:
     """Return changes by field, of all directions, with zeros for fields that do not change."""
     stacked: Seeds = {}

@@ -96,6 +96,22 @@ class Start:
             moved = moved._replace(poses=[pose + change for pose, change in pairs])
         return self._following(frames, moved)
 
+    def misfits(self, seeds: Seeds) -> tuple[Array, Array] | None:
+        """Return the changes that joints and constraints ask of holonomic rows; None without rows.
+
+        seeds : of fields of the inputs, as in `moved`.
+
+        The first array has all changes, (directions, n, rows), for rows of length 1. The second one
+        has the part that no motion of the links satisfies.
+        """
+        frames = Frames(self, seeds)
+        off = self._changes(frames, self._carried(frames), is_rate=False)
+        if off is None:
+            return None
+        rows = self._decomposed(is_rate=False)
+        wanted = off / rows.lengths
+        return wanted, np.stack([rows.missed(each) for each in wanted])
+
     # ---- projection ----------------------------------------------------------------------------
 
     @cached_property

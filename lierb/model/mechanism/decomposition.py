@@ -92,6 +92,14 @@ class Decomposed:
         parts = gains * summed(np.swapaxes(self.u, 1, 2) * wanted[:, None, :])
         return summed(np.swapaxes(self.vt[:, :count], 1, 2) * parts[:, None, :])
 
+    def missed(self, wanted: Array) -> Array:
+        """Return the part of `wanted` that A x reaches for no x, (count, rows)."""
+        kept = np.arange(self.values.shape[1]) < self.ranks[:, None]
+        for _ in range(2):  # the second time removes rounding
+            parts = summed(np.swapaxes(self.u, 1, 2) * wanted[:, None, :])
+            wanted = wanted - summed(self.u * np.where(kept, parts, 0.0)[:, None, :])
+        return wanted
+
 
 class DecomposedRows(Decomposed):
     """Decomposition of all rows, in x and scaled to length 1.
