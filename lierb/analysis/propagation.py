@@ -30,6 +30,7 @@ SYMMETRY = 1e-10  # relative to the standard deviations of both numbers
 MEANS = 20  # iterations of a mean on a group, at most
 LEAST_RUNS = 10
 ROUNDING = 1e-12  # smaller standard deviations, relative to the largest in time, count as zero
+VALUE_ROUNDING = 1e-13  # the same, relative to the largest value of the quantity
 
 
 def propagate(
@@ -170,8 +171,10 @@ def _propagated(
         )
         linear[name] = jacobian @ sigma @ jacobian.swapaxes(-1, -2)
         values = each.values(members)[:, whole]
-        shift[name], sample[name] = _moments(each, each.values(nominal)[:, 0], values)
-        ratio[name], holds[name] = _compared(linear[name], sample[name], shift[name], size)
+        at_nominal = each.values(nominal)[:, 0]
+        shift[name], sample[name] = _moments(each, at_nominal, values)
+        least = VALUE_ROUNDING * float(np.abs(at_nominal).max(initial=0.0))
+        ratio[name], holds[name] = _compared(linear[name], sample[name], shift[name], size, least)
     units = {each.name: each.unit for each in quantities}
     return Propagation(t, linear, sample, shift, ratio, holds, units, size, count - size)
 
@@ -265,10 +268,16 @@ def _moments(quantity: Quantity, nominal: Array, values: Array) -> tuple[Array, 
     return quantity.difference(nominal, mean[:, 0]), covariance
 
 
-def _compared(linear: Array, sample: Array, shift: Array, size: int) -> tuple[Array, Any]:
-    """Return the ratios of standard deviations, and where linear theory holds."""
+def _compared(
+    linear: Array, sample: Array, shift: Array, size: int, least: float
+) -> tuple[Array, Any]:
+    """Return the ratios of standard deviations, and where linear theory holds.
+
+    least : largest standard deviation that is rounding of the values.
+    """
     expected, got = deviations_of(linear), deviations_of(sample)
-    is_zero = (expected <= ROUNDING * expected.max()) & (got <= ROUNDING * expected.max())
+    least = max(least, ROUNDING * expected.max())
+    is_zero = (expected <= least) & (got <= least)
     with np.errstate(divide="ignore", invalid="ignore"):
         ratio = np.where(is_zero, np.nan, got / expected)
         shifts = np.where(is_zero, 0.0, np.abs(shift) / np.maximum(expected, got))

@@ -323,6 +323,10 @@ def _replay(study: Study, folder: Path, trajectory: int, threads: int | None) ->
 
     from lierb.studies.execution.replaying import replay
 
+    click.echo(
+        f"Integrating trajectory {trajectory}; code that records all is compiled first ...",
+        err=True,
+    )
     for number, (setting, tables) in enumerate(replay(study, trajectory, threads=threads)):
         path = folder / f"trajectory-{trajectory}-{number:02d}.parquet"
         content = pa.BufferOutputStream()

@@ -170,7 +170,7 @@ class Dataset(Results):
         """Integrate one trajectory of the study again, with everything recorded.
 
         Its row of the summary, and its events, are those of the study, bit for bit, on the same
-        kind of CPU with the same versions.
+        kind of CPU with the same versions; the column `trajectory` is 0, the number in this run.
 
         Parameters
         ----------
@@ -238,7 +238,7 @@ class Dataset(Results):
 
     def _representation(self) -> tuple[str, Lines]:
         if not self.manifest:
-            return f"lierb.Dataset of {self.folder}, not read", []
+            return f"lierb.studies.dataset.Dataset of {self.folder}", []
         study, done, total = self.manifest["study"], len(self.parts), self.manifest["asked"]
         lines = [
             ("settings", settings_label(IntegrateSection.model_construct(**study["integrate"]))),
@@ -251,4 +251,4 @@ class Dataset(Results):
             lines.append(("start", moved))
         tables = tables_of_study(study)
         lines.append(("tables", ", ".join(f'.table("{name}")' for name in tables)))
-        return f"lierb.Dataset of {self.folder}: study {study['name']!r}", lines
+        return f"lierb.studies.dataset.Dataset of {self.folder}: study {study['name']!r}", lines

@@ -5,6 +5,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 import lierb
+from lierb.analysis.propagation import _compared
 from lierb.errors import FailedTrajectoryWarning, LierbError
 
 TIMES = [0.5, 1.0, 2.0]
@@ -43,6 +44,16 @@ def test_an_oscillators_covariance_is_the_closed_form():
     # a sample of 400 has deviations to 1/√800
     assert np.abs(spread.ratio["coordinates"] - 1.0).max() < 4.0 / np.sqrt(800)
     assert np.isnan(spread.ratio["v"][:, 1:]).all()  # across the slide nothing moves
+
+
+def test_quantities_without_a_spread_hold_up_to_rounding():
+    rounding = np.full((3, 2, 2), 1e-32)
+    for shift in (0.0, 1e-16):
+        ratio, holds = _compared(np.zeros((3, 2, 2)), rounding, np.full((3, 2), shift), 20, 1e-13)
+        assert np.isnan(ratio).all()
+        assert holds.all()
+    _, holds = _compared(np.zeros((3, 2, 2)), 1e20 * rounding, np.full((3, 2), 0.0), 20, 1e-13)
+    assert not holds.any()
 
 
 @pytest.mark.slow
