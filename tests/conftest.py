@@ -20,7 +20,7 @@ TOGETHER = {
     "groups": ("lie", "lie_arrays", "log", "number_types"),
     "derivatives": (
         "of_joints", "of_runs", "of_mechanisms", "event_times", "through_functions", "names", "fit",
-        "fits",
+        "fits", "fit_of_loops",
     ),
 }  # fmt: skip
 BY_JOINT = ("accuracy", "exactness", "multipliers", "prediction", "solvers")
