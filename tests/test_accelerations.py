@@ -218,7 +218,7 @@ def reading(specific_force):
     return {"seen": specific_force}
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_events_and_controllers_read_accelerations():
     """A turning wheel is spun up: α = τ/I, so that ‖f‖ = g √… at its rim at a known time."""
     torque, inertia, arm = 0.6, 0.3, 0.5

@@ -216,7 +216,7 @@ def by_state(states):
     return states.left, np.zeros(3), states.left * np.diag((1.0, 1.0, 0.4))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_mass_may_be_an_extra_state():
     body = lierb.Body(1.0, (0.5, 0.5, 0.8))
     link = lierb.Link("hull", body, lierb.joints.free())

@@ -45,6 +45,7 @@ QUICK = [
 ]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("peer", "form", "allowed"), QUICK)
 def test_a_peer_meets_the_reference(peer, form, allowed):
     module = importlib.import_module(f"peers.{peer}")

@@ -198,7 +198,7 @@ SHAPED = lierb.Body(  # the inertia less Steiner's part: 2 × a rotation's diago
 )
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("function", [common, further, branching_common])
 def test_numpy_is_numpys(function):
     sizes = np.array([0.25, 0.75])

@@ -300,7 +300,7 @@ def test_closing_keeps_the_mesh():
     np.testing.assert_array_equal(machine.close(pose0)["first"], pose0["first"])
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_loop_s_hinge_has_teeth_as_well():
     """A wheel that floats in a bearing, which is a loop, moves as one on a hinge of the tree."""
     floating = lierb.Mechanism(

@@ -269,7 +269,7 @@ def equality(own, other=None, polynomial=(0.3, 0.0)):
 LONG = {"itself", "wheel", "held", "screw", "led"}
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(
     "scene", [pytest.param(x, marks=pytest.mark.long) if x in LONG else x for x in COUPLED]
 )

@@ -509,7 +509,7 @@ def test_built_again_it_goes_on_to_the_bits_of_one_run(run_of):
     assert run_of(is_rebuilt=True) == run_of(is_rebuilt=False)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_built_in_another_process_it_goes_on_to_the_same_bits():
     code = "import test_restart; print(test_restart.driven(is_rebuilt=True))"
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(map(str, sys.path))}

@@ -322,7 +322,7 @@ def by_radau(pose, twist, times):
     return solve_ivp(rate, times, start, "Radau", rtol=1e-9, atol=1e-9).y[:, -1]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_stiff_bushing_agrees_with_radau_in_few_steps():
     problem, pose, twist = hung()
     result = lierb.integrate(

@@ -107,7 +107,7 @@ def test_a_joint_holds_up_to_its_static_friction():
     assert rate[2][2] == pytest.approx((1.21 - 1.0) / INERTIA * 1000.0, rel=1e-2)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(
     "where",
     ["problem", *(pytest.param(n, marks=pytest.mark.long) for n in ("mechanism", "looped"))],
@@ -138,7 +138,7 @@ def test_wheels_turn_to_and_fro_as_by_scipy(where):
     np.testing.assert_allclose(deflections, [z for _, z in exact], atol=1e-10)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_derivatives_are_those_of_differences():
     names = ["joint_stiction.coulomb", "joint_stiction.stiffness", "joint_stiction.start"]
     options = {"t_end": 0.2, "dt": 1e-4}

@@ -158,7 +158,7 @@ DAMPED = {
 }  # fmt: skip
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("name", long_but(DAMPED, "Verlet"))
 def test_forces_that_depend_on_velocity_and_time_have_the_order_documented(name):
     problem, twist0 = box_top()
@@ -266,7 +266,7 @@ def bowl(R, r):
     return r[2] - 0.5 * (r[0] ** 2 + 2.0 * r[1] ** 2), R[2, 0]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("name", "cspace"),
     [

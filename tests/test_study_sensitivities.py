@@ -283,7 +283,7 @@ def distances(r, params):
 """
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_end_times_and_observables_have_linear_theory(tmp_path):
     """A throw: t = (w + √(w² + 2gh))/g and reach u t; RK4 is exact, 1e-9 for the event's time."""
     (tmp_path / "throw.py").write_text(LANDING)

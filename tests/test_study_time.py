@@ -557,7 +557,7 @@ def driven(t, R, r, omega, v, params, controls):
 """
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_mechanisms_have_all_of_it(tmp_path):
     file = written(
         tmp_path / "study", SWINGS, "[problem]\ngravity = [0.0, 0.0, -9.81]\n" + MECHANISM

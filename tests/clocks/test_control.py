@@ -83,6 +83,7 @@ def run(count=5, controller=None, cspace="reduced", ticks=TICKS, **options):
     return lierb.integrate(problem, **start, cspace=cspace, **options)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("cspace", tiered(["reduced", "SE3"], [], ["reduced"]))
 def test_pid_is_the_loop_written_by_hand(cspace):
     """Equal steps differ by the rounding of 100 steps, which the controller damps."""

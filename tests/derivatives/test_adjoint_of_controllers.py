@@ -136,7 +136,7 @@ def heard(t, r, controls, params):
     return controls.u * r[2] + params.share * t
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_events_that_read_outputs_end_between_ticks_or_stay_at_them(monkeypatch):
     """z = v t + t²/4, and the event u + z/10 = level, where u = gain z at the last tick.
 

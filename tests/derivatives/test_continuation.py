@@ -184,7 +184,7 @@ def require_equal(whole, last, quantities, names, atol=0.0):
             np.testing.assert_allclose(found, right, rtol=0.0, atol=atol * scale, err_msg=name)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(
     "options",
     [pytest.param({"rtol": 1e-12}, marks=pytest.mark.long), {"dt": 0.01}],
@@ -235,7 +235,7 @@ def test_controllers_of_one_of_two_runs_leave_the_derivatives_of_the_motion(is_f
         np.testing.assert_allclose(by(last, name), right, rtol=1e-12, atol=1e-12)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_looped_code_goes_on_to_the_bit():
     """Beside one run, and differences of its values."""
     names = [STIFFNESS, "link4.body.mass", "link9.twist0", "gravity", "link3.joint.body_point"]

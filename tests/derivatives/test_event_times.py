@@ -192,7 +192,7 @@ def reached(states, omega, params):
     return states.turned + 0.5 * omega[2] - params.level
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(
     "solver",
     [None, *(pytest.param(x, marks=pytest.mark.long) for x in ("looped", "unrolled"))],

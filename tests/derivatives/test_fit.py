@@ -102,15 +102,16 @@ def test_a_fit_that_cannot_go_on_has_not_converged(monkeypatch):
 
     varied = Task.varied
     monkeypatch.setattr(Task, "varied", refused)
-    fit = fitted(pendulum(0.3), data_of(swung(), "omega"), DAMPING)
+    unknown = [DAMPING, STIFFNESS, "omega0"]
+    fit = fitted(pendulum(0.3, 0.5), data_of(swung(), "omega"), unknown)
     assert not fit.converged
     assert fit.status.startswith("no step decreases the sum of squares")
-    assert fit.estimate[DAMPING][0] == pytest.approx(0.1, rel=1e-3)
-    guess = swing(pendulum(0.3))[1]
+    assert fit.estimate[DAMPING][0] == pytest.approx(0.1, rel=0.1)
+    guess = swing(pendulum(0.3, 0.5))[1]
     assert fit.chi2 < np.sum((guess.omega - swung().omega) ** 2)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("column", ["rotation", "quaternion", "coordinates", "pose"])
 def test_every_column_recovers_the_start_and_the_length(column):
     truth = swung()

@@ -11,7 +11,7 @@ ALONG = np.array([3.0, -2.0, 0.0]) / np.sqrt(13.0)
 UP = np.cross(AXIS, ALONG)
 CRANK, ROD = 0.08, 0.31
 TIMES = np.linspace(0.02, 0.4, 20)
-RUN = {"dt": 4e-3, "solver": "looped", "stabilise": "project"}
+RUN = {"dt": 4e-3, "solver": "looped"}
 UNKNOWN = ["pin.joint.body_point", "crank.pose0", "crank.twist0"]
 
 
@@ -44,7 +44,9 @@ def start(made, rate=9.0):
 
 
 def measured(made, **given):
-    run = lierb.integrate(made, **given, **RUN, t_end=0.4, save_at=TIMES, record="state")
+    """Return the data of a run; with derivatives, which spares the compile of another kernel."""
+    saved = {"t_end": 0.4, "save_at": TIMES, "record": "state", "with_respect_to": UNKNOWN}
+    run = lierb.integrate(made, **given, **RUN, **saved)
     return {
         "t": TIMES,
         "slider.position": run["slider"].position,

@@ -211,7 +211,7 @@ def test_tables_have_the_rows_of_the_run_and_units():
     assert np.array_equal(last, result.sensitivity("reaction", "omega0")[-1])
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_mechanism_has_columns_of_links_and_joints():
     names = ["upper.body.mass"]
     result = swung(

@@ -73,7 +73,7 @@ def test_fixed_steps_measure_extremes_at_steps(every):
     np.testing.assert_allclose(result.sensitivity("falling_mean", "twist0")[:, 5], -1.0, **close)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_extremes_and_means_change_with_the_time_of_a_terminal_event():
     speeds = np.array((3.0, 5.0, 0.5))
     result = lierb.integrate(
@@ -104,7 +104,7 @@ def held(controls):
     return controls.torque
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_statistics_of_a_held_output_have_the_derivatives_of_closed_forms():
     result = lierb.integrate(
         wheel(observables=held()), **START, dt=0.01, with_respect_to=list(NAMES.values())

@@ -56,7 +56,7 @@ def test_quantities_without_a_spread_hold_up_to_rounding():
     assert not holds.any()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_parameter_spreads_by_its_exact_derivative():
     """∂x/∂k of x₀ cos ωt is −x₀ sin ωt · t ω/(2k)."""
     problem = oscillator()

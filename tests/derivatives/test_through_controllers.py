@@ -148,7 +148,7 @@ def test_controllers_that_switch_are_named_and_periods_refused():
         lierb.integrate(wheel(), **START, dt=0.01, with_respect_to="servo.every")
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_looped_code_carries_them_too():
     links = [lierb.Link("wheel", lierb.Body(1.0, (INERTIA,) * 3), JOINT)]
     mechanism = lierb.Mechanism(

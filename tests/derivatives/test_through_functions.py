@@ -83,7 +83,7 @@ def test_forces_and_users_functions_have_the_derivatives_of_complex_steps(name):
     compare(problem, name, pose, twist, result, force=force, scales={})
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_work_of_forces_balances_the_energy_along_a_direction():
     drag = lierb.forces.drag(linear=0.5, angular=0.05)
     problem, pose, twist = problem_of("spherical", forces=drag)

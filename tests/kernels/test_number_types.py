@@ -68,7 +68,7 @@ def same_bits(a, b):
     return np.array_equal(a.view(np.int64), b.view(np.int64))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @needs_jit
 @every_group
 @every_function

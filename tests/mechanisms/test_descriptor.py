@@ -136,6 +136,7 @@ FORMS = [
 ]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("model", [pytest.param(pendulum, marks=pytest.mark.long), driven])
 @pytest.mark.parametrize(("method", "cspace"), FORMS)
 def test_pendulum_has_the_order(method, cspace, model):
@@ -303,7 +304,7 @@ def test_energy_does_not_drift():
 # ---- rows that depend on others -----------------------------------------------------------------
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_bar_that_is_pinned_twice_moves_as_on_one_hinge():
     """A hinge and a ball joint at one point: three rows of eight depend on the others."""
     hinge = lierb.joints.revolute((0.0, 0.0, 0.2))

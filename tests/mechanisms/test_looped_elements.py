@@ -121,7 +121,7 @@ def test_steps_end_at_stops(solver):
     assert result.summary["status"].to_pylist() == ["event", "event", "event", "ok"]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_rows_between_steps_change_no_bit():
     """Most of 40 rows are within steps; of 2 one is the start, and one beyond some ends."""
     few, many = by("looped", rows=2), by("looped", rows=40)

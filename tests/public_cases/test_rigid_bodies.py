@@ -228,7 +228,7 @@ def satellite(appendages: tuple[str, ...]) -> lierb.Mechanism:
     )
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(
     "appendages",
     [("left",), pytest.param(("left", "right", "wheel"), marks=pytest.mark.long)],
