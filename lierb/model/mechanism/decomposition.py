@@ -30,10 +30,12 @@ from lierb.kernels.numbers.vec import (
 )
 from lierb.kernels.numbers.zero import ZERO
 from lierb.support.arrays import Array, assembled
+from lierb.support.parallel import in_parts
 
 # Bound between nonzero and zero singular values, relative to the largest. A start
 # may violate its joints by 1e-9, and redundant rows are then dependent only to that accuracy.
 RANK_TOLERANCE = 1e-7
+LEAST_OF_THREAD = 64  # decompositions, which take milliseconds
 
 
 class Metric:
@@ -67,7 +69,8 @@ class Decomposed:
     """Singular value decompositions of matrices A, (count, rows, n)."""
 
     def __init__(self, matrix: Array) -> None:
-        u, self.values, self.vt = np.linalg.svd(matrix)
+        parts = in_parts(lambda part: np.linalg.svd(matrix[part]), len(matrix), LEAST_OF_THREAD)
+        u, self.values, self.vt = (np.concatenate(x) for x in zip(*parts, strict=True))
         self.u = u[..., : self.values.shape[1]]
         self.ranks = self.ranks_above(RANK_TOLERANCE)
 
