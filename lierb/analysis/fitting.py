@@ -12,9 +12,9 @@ from numpy.typing import ArrayLike
 from lierb.analysis.bounds import bounds_of
 from lierb.analysis.fit_result import Fit
 from lierb.analysis.fit_task import Task
+from lierb.analysis.followed import held_directions
 from lierb.analysis.guesses import guessed
 from lierb.analysis.identifiability import (
-    HELD,
     Direction,
     Identified,
     described,
@@ -277,7 +277,7 @@ def _report(task: Task, solution: Any, evaluations: int, sides: Array) -> Fit:
         unidentifiable=described_directions(
             unknowns, told, unknowns.spread, unknowns.all_values
         ),
-        held=held_directions(unknowns, unknowns.follow.held),
+        held=held_directions(unknowns.numbers, unknowns.follow.held),
         problem=model, start={**varied.start, "t0": task.variation.t0}, result=result,
         t=task.data.t, residuals=residuals,
         units={column.quantity.name: column.quantity.unit for column in task.data.columns},
@@ -310,13 +310,3 @@ def described_directions(
     """
     labels, units = unknowns.labels, unknowns.units
     return tuple(described(spread @ change, labels, values, units) for change in told.null)
-
-
-def held_directions(unknowns: Unknowns, held: Array) -> tuple[Direction, ...]:
-    """Describe the directions of the model's numbers that loops hold.
-
-    held : `Followed.held` of one experiment.
-    """
-    labels, units, count = unknowns.labels, unknowns.units, unknowns.number_count
-    own = labels[:count], np.zeros(count), units[:count]
-    return tuple(described(change, *own, HELD) for change in held)

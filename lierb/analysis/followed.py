@@ -6,12 +6,14 @@ model has no start beside them.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lierb.runs.parameters import misfits_of, slices_of
+from lierb.analysis.identifiability import HELD, Direction, described
+from lierb.runs.parameters import Parameter, labels_of, misfits_of, slices_of, units_of
 from lierb.runs.variations import Variation
 from lierb.support.arrays import Array
 
@@ -89,6 +91,15 @@ def followed(variation: Variation, count: int, experiments: int | None = None) -
     matrix[..., rows, others] = follow if lead else follow[0]
     kept = np.setdiff1d(np.arange(size), columns[held])
     return Followed(kept, matrix[..., kept])
+
+
+def held_directions(numbers: Sequence[Parameter], held: Array) -> tuple[Direction, ...]:
+    """Describe directions that loops hold.
+
+    numbers : parameters of the model.   held : `Followed.held` of one experiment.
+    """
+    labels, units = ([x for p in numbers for x in names(p)] for names in (labels_of, units_of))
+    return tuple(described(change, labels, np.zeros(len(labels)), units, HELD) for change in held)
 
 
 def _by_experiment(changes: Array, count: int) -> Array:

@@ -7,9 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from lierb.analysis.unknowns import labels_of
 from lierb.errors import ArgumentError, LierbError, brief
-from lierb.runs.parameters import Parameter
+from lierb.runs.parameters import Parameter, labels_of
 from lierb.runs.variations import Variation
 from lierb.support.arrays import Array, as_floats
 

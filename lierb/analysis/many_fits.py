@@ -14,9 +14,9 @@ from lierb.analysis.fitting import (
     chosen_and_guesses,
     described_directions,
     fit_runs,
-    held_directions,
     require_whole,
 )
+from lierb.analysis.followed import held_directions
 from lierb.analysis.guesses import guessed
 from lierb.analysis.identifiability import (
     Direction,
@@ -200,7 +200,7 @@ def _report(experiments: Experiments, ends: Minimisation) -> Fits:
         chi2=chi2, freedoms=freedoms, converged=ends.converged, status=ends.reasons,
         iterations=ends.iterations, not_told=not_told,
         unidentifiable=_directions(unknowns, state, not_told),
-        held=held_directions(unknowns, unknowns.follow.held[0]),
+        held=held_directions(unknowns.numbers, unknowns.follow.held[0]),
         problem=model,
         start={**varied.start, "t0": variation.t0},
         units={p.name: p.unit for p in experiments.parameters},

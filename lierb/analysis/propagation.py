@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from lierb.analysis.followed import followed, held_directions
 from lierb.analysis.propagation_result import Propagation, deviations_of
 from lierb.analysis.quantities import Quantity, quantity_named, records_of, require_derivatives
 from lierb.analysis.varied_runs import Runs, runs_of
@@ -140,6 +141,7 @@ def propagate(
     runs = runs_of("times", t, t0, t_end, records_of(quantities), options)
     warn_of_switches(model, stacklevel=3)
     variation = Variation(base, chosen, runs.options(model).timing.t0)
+    _require_followed(variation, sigma)
     with warnings_collected(), warnings.catch_warnings():
         warnings.simplefilter("ignore")
         found = _propagated(variation, runs, quantities, sigma, t, int(monte_carlo), seed)
@@ -213,6 +215,22 @@ def _covariance(given: Any, parameters: tuple[Parameter, ...]) -> Array:
         part = slices[p.name]
         sigma[part, part] = _checked(label, own, p.size)
     return sigma
+
+
+def _require_followed(variation: Variation, sigma: Array) -> None:
+    """Raise ArgumentError for a variance along a direction that loops do not follow."""
+    numbers, slices = (
+        [p for p in variation.parameters if not p.is_start],
+        slices_of(variation.parameters),
+    )
+    places = np.array([i for p in numbers for i in range(len(sigma))[slices[p.name]]], dtype=int)
+    own, held = sigma[np.ix_(places, places)], followed(variation, 1).held
+    for row, direction in zip(held, held_directions(numbers, held), strict=True):
+        if row @ own @ row > ROUNDING * np.max(np.diag(own) * row**2):
+            raise ArgumentError(
+                f"covariance: {direction}; expected no variance along this direction, in which "
+                "they do not close"
+            )
 
 
 def _checked(label: str, given: Any, size: int) -> Array:

@@ -18,7 +18,7 @@ from lierb.analysis.followed import Followed, followed
 from lierb.analysis.pseudo_inertia import SIZES, body_of, coordinates_of, derivatives_of
 from lierb.errors import ArgumentError
 from lierb.lie import se3
-from lierb.runs.parameters import SYMMETRIC, Parameter, chosen_parameters, slices_of
+from lierb.runs.parameters import chosen_parameters, labels_of, slices_of, units_of
 from lierb.runs.variations import Variation
 from lierb.support.arrays import Array
 
@@ -300,8 +300,8 @@ class Unknowns:
     @property
     def units(self) -> tuple[str, ...]:
         """Return the unit of each number of the parameters."""
-        starts = [unit for p in self.starts for unit in _units(p)]
-        return tuple([unit for p in self.numbers for unit in _units(p)] + self.count * starts)
+        starts = [unit for p in self.starts for unit in units_of(p)]
+        return tuple([unit for p in self.numbers for unit in units_of(p)] + self.count * starts)
 
     @property
     def all_values(self) -> Array:
@@ -360,17 +360,3 @@ def _admitted(rows: Array) -> Array:
     rank = int(np.sum(values > RANK * largest, axis=-1).max())
     numbers = rows.shape[1]
     return np.eye(numbers)[None] if rank == numbers else basis[..., :rank]
-
-
-def labels_of(p: Parameter) -> list[str]:
-    """Return a name for each number of a parameter."""
-    if p.size == 1:
-        return [p.name]
-    if p.name.endswith("body.inertia"):
-        return [f"{p.name}[{i + 1}{j + 1}]" for i, j in SYMMETRIC]
-    return [f"{p.name}[{k}]" for k in range(p.size)]
-
-
-def _units(p: Parameter) -> list[str]:
-    units = p.unit.split(", ")
-    return units * p.size if len(units) == 1 else units

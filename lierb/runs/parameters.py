@@ -91,6 +91,21 @@ def slices_of(parameters: Iterable[Parameter]) -> dict[str, slice]:
     return slices
 
 
+def labels_of(p: Parameter) -> list[str]:
+    """Return a name for each number of a parameter."""
+    if p.size == 1:
+        return [p.name]
+    if p.name.endswith("body.inertia"):
+        return [f"{p.name}[{i + 1}{j + 1}]" for i, j in SYMMETRIC]
+    return [f"{p.name}[{k}]" for k in range(p.size)]
+
+
+def units_of(p: Parameter) -> list[str]:
+    """Return the unit of each number of a parameter."""
+    units = p.unit.split(", ")
+    return units * p.size if len(units) == 1 else units
+
+
 def parameters_by_name(model: Model) -> dict[str, Parameter]:
     """Return all parameters of a model."""
     return {p.name: p for p in _parameters(model)}

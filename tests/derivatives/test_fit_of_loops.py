@@ -101,3 +101,17 @@ def test_fits_keep_the_pins_of_planar_loops_in_their_planes():
     assert [str(x) for x in many.held] == [str(x) for x in one.held]
     off = many.estimate["pin.joint.body_point"] - ROD * ALONG
     assert np.abs(off @ AXIS).max() < 1e-12  # scattered in the plane only
+
+
+@pytest.mark.slow
+def test_a_covariance_across_the_plane_is_refused():
+    made, name = slider_crank(), "pin.joint.body_point"
+    across = {name: np.outer(AXIS, AXIS) * 1e-10}
+    in_plane = {name: (np.eye(3) - np.outer(AXIS, AXIS)) * 1e-10}
+    given = name, [0.1], "slider.position"
+    with pytest.raises(ArgumentError, match="together are held by loops; expected no variance"):
+        lierb.propagate(made, across, *given, **start(made), **RUN)
+    with pytest.raises(ArgumentError, match="held by loops"):
+        lierb.propagate(made, {name: 1e-5}, *given, **start(made), **RUN)
+    spread = lierb.propagate(made, in_plane, *given, **start(made), **RUN, monte_carlo=20)
+    assert spread.holds["slider.position"].all()
