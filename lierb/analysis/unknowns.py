@@ -18,7 +18,7 @@ from lierb.analysis.followed import Followed, followed
 from lierb.analysis.pseudo_inertia import SIZES, body_of, coordinates_of, derivatives_of
 from lierb.errors import ArgumentError
 from lierb.lie import se3
-from lierb.runs.parameters import chosen_parameters, labels_of, slices_of, units_of
+from lierb.runs.parameters import Parameter, chosen_parameters, labels_of, slices_of, units_of
 from lierb.runs.variations import Variation
 from lierb.support.arrays import Array
 
