@@ -219,10 +219,8 @@ def _covariance(given: Any, parameters: tuple[Parameter, ...]) -> Array:
 
 def _require_followed(variation: Variation, sigma: Array) -> None:
     """Raise ArgumentError for a variance along a direction that loops do not follow."""
-    numbers, slices = (
-        [p for p in variation.parameters if not p.is_start],
-        slices_of(variation.parameters),
-    )
+    numbers = [p for p in variation.parameters if not p.is_start]
+    slices = slices_of(variation.parameters)
     places = np.array([i for p in numbers for i in range(len(sigma))[slices[p.name]]], dtype=int)
     own, held = sigma[np.ix_(places, places)], followed(variation, 1).held
     for row, direction in zip(held, held_directions(numbers, held), strict=True):
