@@ -16,6 +16,7 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lierb.kernels.groups import se3
 from lierb.kernels.mechanics import elements as kinds
@@ -97,7 +98,7 @@ class Start:
         return self._following(frames, moved)
 
     def misfits(self, seeds: Seeds) -> tuple[Array, Array] | None:
-        """Return the changes that joints and constraints ask of holonomic rows; None without rows.
+        """Return the changes that joints and constraints ask of the rows of poses, or None.
 
         seeds : of fields of the inputs, as in `moved`.
 
@@ -134,13 +135,19 @@ class Start:
         return [components(twist) for twist in self.twists]
 
     def _decomposed(self, is_rate: bool) -> DecomposedRows:
-        """Return the decomposition of all rows, or of the holonomic ones."""
+        """Return the decomposition of all rows, or of those of poses."""
         known = self._known
         if is_rate not in known:
             states = self.system.states(self.placed, self.moving, self.t0)
             kept = [s._replace(at=s.at._replace(rows=_rows(s.at, is_rate))) for s in states]
             known[is_rate] = self.system.decomposed(kept)
         return known[is_rate]
+
+    @cached_property
+    def _meshes(self) -> NDArray[np.bool_]:
+        """Return True for the meshes of teeth among the rows of poses, [row]."""
+        rows = (r for at in self.mechanism.connections for r in _rows(at, is_rate=False))
+        return np.array([r.second is not None for r in rows])
 
     @cached_property
     def _known(self) -> dict[bool, DecomposedRows]:
@@ -162,20 +169,25 @@ class Start:
         """Project directions of all links: changes, (directions, n, 6).
 
         units : by link, (directions, n or 1, 6), or None.
-        is_rate : True for those of twists, which all rows bind; poses are bound by holonomic rows.
+        is_rate : True for those of twists, which all rows bind; `_rows` are those of poses.
         """
         shape = (max(len(each) for each in units if each is not None), self.count, 6)
         moved = [np.zeros(shape) if x is None else np.broadcast_to(x, shape) for x in units]
+        given = moved
         for _ in range(2):  # the second step corrects the rounding of the first
             rates = self._rates(moved, is_rate)
             if rates is None:
                 break
+            if not is_rate and self._meshes.any():  # teeth mesh in any pose, and then stay there
+                off = self._rates([own - x for own, x in zip(moved, given, strict=True)], is_rate)
+                assert off is not None
+                rates = np.where(self._meshes, off, rates)
             pairs = zip(moved, self._lightest(-rates, is_rate), strict=True)
             moved = [own + change for own, change in pairs]
         return moved
 
     def _rates(self, moved: list[Array], is_rate: bool) -> Array | None:
-        """Return J X of all rows, or of the holonomic ones, (directions, n, rows); None without."""
+        """Return J X of all rows, or of those of poses, (directions, n, rows); None without."""
         states = self.system.states(self.placed, [components(each) for each in moved], self.t0)
         rates = [s.rate(r) for s in states for r in _rows(s.at, is_rate)]
         shape = moved[0].shape[:2]
@@ -218,6 +230,8 @@ class Start:
                         joint = self.mechanism.joints[at.second]._replace(elements=at.elements)
                         other, ends, _ = frames.kinematics(joint, poses, twists)
                         off = off - dot(r.second.jacobian(other, ends), velocity_of(other))
+                elif r.second is not None:
+                    off = 0.0  # the teeth stay where they mesh
                 elif r.has_value:
                     off = -r.value(x, body)
                 else:
@@ -323,8 +337,10 @@ def frame_seeds(frame: Array, changes: Array) -> Array:
 
 
 def _rows(at: Connection, is_rate: bool) -> tuple[Any, ...]:
-    """Return the rows of a connection, or the holonomic ones."""
-    return at.rows if is_rate else tuple(r for r in at.rows if r.is_holonomic)
+    """Return the rows of a connection, or those of its pose: holonomic ones and meshes of teeth."""
+    if is_rate:
+        return at.rows
+    return tuple(r for r in at.rows if r.is_holonomic or r.second is not None)
 
 
 def _with_parts(numbers: Vec, changes: Array) -> Vec:
