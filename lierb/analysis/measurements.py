@@ -56,15 +56,17 @@ class Measured:
         """Return run minus data, (times, n, width); NaN without a sample."""
         return self.quantity.difference(self.values, self.quantity.values(result))
 
-    def derivative(self, result: Result, p: Parameter, slope: Array | None) -> Array:
+    def derivative(
+        self, result: Result, p: Parameter, slope: Array | None, out: Array | None = None
+    ) -> Array:
         """Return the derivatives of the difference over sigma by a parameter, (times, n, width, k).
 
-        slope : `Quantity.slope` of the difference.
+        slope : `Quantity.slope` of the difference.   out : array for the derivatives, or None.
         """
         own = self.quantity.derivative(result, p)
         own = np.broadcast_to(own, (own.shape[0], self.values.shape[1], *own.shape[2:]))
         turned = own if slope is None else slope @ own
-        return np.asarray(turned / self.sigma[:, None])
+        return np.asarray(np.divide(turned, self.sigma[:, None], out=out))
 
     def part(self, trajectories: NDArray[np.int64]) -> Measured:
         """Return the samples of some trajectories."""

@@ -3,28 +3,25 @@
 from __future__ import annotations
 
 from math import prod
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lierb.analysis.least_squares import triangular
-from lierb.analysis.measurements import Measured, Measurements
+from lierb.analysis.measurements import Measurements
 from lierb.analysis.unknowns import Unknowns
 from lierb.analysis.varied_runs import Runs
 from lierb.errors import ArgumentError, LierbError, MemoryLimitError
 from lierb.results.columns import as_array, as_codes
 from lierb.results.failures import has_failed
 from lierb.results.result import Result
-from lierb.runs.parameters import Parameter
 from lierb.runs.variations import Variation, Varied, fixed_directions, item_shape, with_directions
 from lierb.support.arrays import Array
-from lierb.support.parallel import in_parts
 
 State = dict[str, Array]  # arrays by name, [experiment]
 Members = NDArray[np.int64]  # indices of experiments
 NUMBER, POSE, TWIST = "number ", "pose ", "twist "  # prefixes of names: of fields and links
-LEAST_OF_THREAD = 64  # trajectories, whose factors take milliseconds
 DERIVED = 20  # differentiated numbers of a link: pose, twist and what may be measured beside them
 
 
@@ -209,9 +206,11 @@ class Experiments:
         self, members: Members, result: Result, unknowns: Unknowns
     ) -> tuple[Array, NDArray[np.bool_]]:
         """Return R of [J r] by the unknowns, and False for experiments without all residuals."""
-        raw, is_finite = self._triangles(members, result, unknowns)
-        is_finite = is_finite.reshape(-1, self.count)
-        numbers = unknowns.number_count
+        rows = self._rows(members, result, unknowns)
+        is_finite = np.isfinite(rows).all((-2, -1)).reshape(-1, self.count)
+        if not is_finite.all():
+            rows[~is_finite.ravel()] = 0.0
+        raw, numbers = triangular(rows), unknowns.number_count
         lead = raw.reshape(len(members), self.count, *raw.shape[1:])
         starts = lead[..., numbers:-1] @ unknowns.bases
         height = raw.shape[-2]
@@ -223,30 +222,26 @@ class Experiments:
             own[..., -1] = lead[:, i, :, -1]
         return triangular(whole), np.all(is_finite, axis=-1)
 
-    def _triangles(
-        self, members: Members, result: Result, unknowns: Unknowns
-    ) -> tuple[Array, NDArray[np.bool_]]:
-        """Return R of [J r] of each trajectory by its numbers, zero if it lacks a residual.
-
-        The second array has False for these trajectories.
-        """
+    def _rows(self, members: Members, result: Result, unknowns: Unknowns) -> Array:
+        """Return [J r] of each trajectory by its numbers, (n, rows, numbers + 1)."""
         which, parameters = self.trajectories(members), [*unknowns.numbers, *unknowns.starts]
-        columns = [
-            _Derivatives.of(column.part(which), result, parameters) for column in self.data.columns
-        ]
-
-        def triangles(part: slice) -> tuple[Array, NDArray[np.bool_]]:
-            with np.errstate(all="ignore"):
-                rows = np.concatenate([each.rows(part) for each in columns], axis=1)
-                is_finite = np.isfinite(rows).all((-2, -1))
-                if not is_finite.all():
-                    rows[~is_finite] = 0.0
-                return triangular(rows), is_finite
-
-        threads = self.runs.keywords.get("threads")
-        parts = in_parts(triangles, len(which), LEAST_OF_THREAD, threads)
-        raw, is_finite = (np.concatenate(x) for x in zip(*parts, strict=True))
-        return raw, is_finite
+        width = sum(p.size for p in parameters) + 1
+        blocks = []
+        for column in self.data.columns:
+            own = column.part(which)
+            off = own.difference(result)
+            slope = own.quantity.slope(off)
+            rows = np.empty((len(which), *off.shape[::2], width))
+            first = 0
+            for p in parameters:
+                part = rows[..., first : first + p.size]
+                own.derivative(result, p, slope, out=part.swapaxes(0, 1))
+                first += p.size
+            rows[..., -1] = (off / own.sigma).swapaxes(0, 1)
+            if not own.present.all():
+                rows[~own.present.swapaxes(0, 1)] = 0.0
+            blocks.append(rows.reshape(len(which), -1, width))
+        return blocks[0] if len(blocks) == 1 else np.concatenate(blocks, axis=1)
 
     @property
     def bytes_each(self) -> int:
@@ -261,39 +256,3 @@ class Experiments:
         """Return the memory of what is kept of all experiments."""
         inputs = sum(prod(np.shape(x)) for x in self.variation.base.poses.values())
         return 8 * (self.total * 6 * (self.size + 1) ** 2 + 2 * inputs)
-
-
-class _Derivatives(NamedTuple):
-    """Residuals of a column and their derivatives by parameters.
-
-    off : run minus data, (times, n, width).   slope : `Quantity.slope`, or None.
-    derivatives : of the quantity by each parameter, (times, n, width, k).
-    """
-
-    column: Measured
-    off: Array
-    slope: Array | None
-    derivatives: list[Array]
-
-    @classmethod
-    def of(cls, column: Measured, result: Result, parameters: list[Parameter]) -> _Derivatives:
-        off = column.difference(result)
-        own = [column.quantity.derivative(result, p) for p in parameters]
-        return cls(column, off, column.quantity.slope(off), own)
-
-    def rows(self, part: slice) -> Array:
-        """Return [J r] of some trajectories, (n, rows, numbers + 1), zero for missing samples."""
-        off, sigma = self.off[:, part].swapaxes(0, 1), self.column.sigma
-        width = sum(each.shape[-1] for each in self.derivatives) + 1
-        rows, first = np.empty((*off.shape, width)), 0
-        for each in self.derivatives:
-            own = (each[:, part] if each.shape[1] > 1 else each).swapaxes(0, 1)
-            if self.slope is not None:
-                own = self.slope[:, part].swapaxes(0, 1) @ own
-            np.divide(own, sigma[:, None], out=rows[..., first : first + own.shape[-1]])
-            first += own.shape[-1]
-        np.divide(off, sigma, out=rows[..., -1])
-        present = self.column.present
-        if not present.all():
-            rows[~present[:, part].swapaxes(0, 1)] = 0.0
-        return rows.reshape(len(rows), -1, width)
