@@ -32,6 +32,7 @@ class Task:
         """least : least sizes of the numbers; that of one that becomes zero is no guide."""
         self.variation, self.data, self.runs = variation, data, runs
         self.unknowns = Unknowns(variation, data.count, least)
+        self.refusal = ""  # why the last point has no run that was asked for in vain
 
     def varied(self, x: Array) -> Varied:
         return self.variation.at(self.unknowns.changes(x))
@@ -97,7 +98,8 @@ class Task:
         """Return the weighted residuals; infinite if no body has the numbers, or the run fails."""
         try:
             residuals = self.weighted(self.trials.result(self.varied(x)))
-        except LierbError:
+        except LierbError as error:
+            self.refusal = str(error)
             residuals = np.full(self.data.size, np.inf)
         residuals = np.where(np.isfinite(residuals), residuals, np.inf)
         if not len(self.pull):

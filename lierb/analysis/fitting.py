@@ -209,7 +209,7 @@ def _solved(variation: Variation, data: Measurements, runs: Runs, bounds: Any, m
     for _ in range(ROUNDS):
         before = task.unknowns
         x, solution, sides = _minimised(task, bounds, max(most - evaluations, 1))
-        evaluations += int(solution.nfev)
+        evaluations, refusal = evaluations + int(solution.nfev), task.refusal
         moved = Variation(task.varied(x), variation.parameters, variation.t0)
         nearer = Task(moved, data, runs, before.number_sizes)
         if nearer.chi2 > task.chi2:  # the base is as good to rounding, or its start was not kept
@@ -221,7 +221,7 @@ def _solved(variation: Variation, data: Measurements, runs: Runs, bounds: Any, m
         begins_again = has_a_path or len(task.told.null)
         if not (begins_again and has_moved) or evaluations >= most:
             break
-    return _report(task, solution, evaluations, sides)
+    return _report(task, solution, evaluations, sides, refusal)
 
 
 def _minimised(task: Task, bounds: Any, most: int) -> tuple[Array, Any, Array]:
@@ -255,7 +255,7 @@ def _sides(solution: Any, low: Array, high: Array) -> Array:
     return np.asarray(is_high.astype(float) - is_low)
 
 
-def _report(task: Task, solution: Any, evaluations: int, sides: Array) -> Fit:
+def _report(task: Task, solution: Any, evaluations: int, sides: Array, refusal: str) -> Fit:
     unknowns, varied, result, told = task.unknowns, task.variation.base, task.at_base, task.told
     differences, weighted = task.differences(result), task.weighted(result)
     chi2, freedoms = float(weighted @ weighted), len(weighted) - told.rank
@@ -283,12 +283,12 @@ def _report(task: Task, solution: Any, evaluations: int, sides: Array) -> Fit:
         units={column.quantity.name: column.quantity.unit for column in task.data.columns},
         has_sigma=task.data.has_sigma,
         chi2=chi2, freedoms=freedoms,
-        converged=is_minimum, status=_status(solution, is_minimum, at_bounds),
+        converged=is_minimum, status=_status(solution, is_minimum, refusal, at_bounds),
         evaluations=evaluations, _at_bounds=at_bounds,
     )  # fmt: skip
 
 
-def _status(solution: Any, is_minimum: bool, at_bounds: Mapping[str, str]) -> str:
+def _status(solution: Any, is_minimum: bool, refusal: str, at_bounds: Mapping[str, str]) -> str:
     reasons = {
         0: "max_evaluations is reached; raise it, or begin with a better guess",
         1: "the gradient is zero", 2: "the sum of squares decreases no more",
@@ -296,6 +296,8 @@ def _status(solution: Any, is_minimum: bool, at_bounds: Mapping[str, str]) -> st
         4: "neither the sum of squares nor the estimate changes any more",
     }  # fmt: skip
     stuck = "no step decreases the sum of squares: runs nearby fail, or residuals jump"
+    if refusal:
+        stuck = f"no step decreases the sum of squares, for there is no run nearby: {refusal}"
     reason = stuck if solution.status > 0 and not is_minimum else reasons[int(solution.status)]
     bounded = [f"{label} is at its {side} bound" for label, side in at_bounds.items()]
     return "; ".join((reason, *bounded))
