@@ -78,7 +78,7 @@ class Fit(Estimates):
         Combinations of numbers that the data cannot tell, each with `changes` and a `sentence`.
     held : tuple of Direction
         Combinations of the model's numbers that stay as they are, likewise, because the loops do
-        not close otherwise: the pin of a planar loop stays in its plane.
+        not close otherwise, or cannot move: the pin of a planar loop stays in its plane.
     problem : Problem or Mechanism
         The problem with the estimated numbers.
     start : dict

@@ -20,6 +20,7 @@ from lierb.runs.variations import Variation, Varied
 from lierb.support.arrays import Array
 from lierb.support.memory import require_memory
 
+NO_EFFECT = 1e-11  # change of the data by an unknown of its size that is rounding, relative to them
 PULL = 1e-6  # weight of the base, relative to the data's, where they do not tell all directions
 
 
@@ -61,13 +62,25 @@ class Task:
     @cached_property
     def told(self) -> Identified:
         """Return the unknowns at the base as far as data tell them."""
-        return identified(self.slope, self.unknowns.sizes)
+        values = np.concatenate([column.scaled for column in self.data.columns])
+        least = NO_EFFECT * float(np.linalg.norm(values))
+        return identified(self.slope, self.unknowns.sizes, least)
 
     @property
     def chi2(self) -> float:
         """Return the sum of squares at the base."""
         weighted = self.weighted(self.at_base)
         return float(weighted @ weighted)
+
+    def is_better_than(self, other: Task) -> bool:
+        """Return whether the base fits the data as well as another one, or better.
+
+        A start that is closed and projected again may differ, and its run may fail.
+        """
+        try:
+            return self.chi2 <= other.chi2
+        except LierbError:
+            return False
 
     def is_minimum(self, free: NDArray[np.bool_]) -> bool:
         """Return whether no step from the base decreases the sum of squares beyond rounding.
@@ -97,7 +110,9 @@ class Task:
     def residuals(self, x: Array) -> Array:
         """Return the weighted residuals; infinite if no body has the numbers, or the run fails."""
         try:
-            residuals = self.weighted(self.trials.result(self.varied(x)))
+            at_base = np.array_equal(x, self.unknowns.base)
+            result = self.at_base if at_base else self.trials.result(self.varied(x))
+            residuals = self.weighted(result)
         except LierbError as error:
             self.refusal = str(error)
             residuals = np.full(self.data.size, np.inf)

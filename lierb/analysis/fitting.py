@@ -212,7 +212,7 @@ def _solved(variation: Variation, data: Measurements, runs: Runs, bounds: Any, m
         evaluations, refusal = evaluations + int(solution.nfev), task.refusal
         moved = Variation(task.varied(x), variation.parameters, variation.t0)
         nearer = Task(moved, data, runs, before.number_sizes)
-        if nearer.chi2 > task.chi2:  # the base is as good to rounding, or its start was not kept
+        if not nearer.is_better_than(task):
             break
         task = nearer
         has_moved = np.any(np.abs(x - before.base) > MOVED * (np.abs(x) + before.scales))

@@ -1,7 +1,9 @@
 """Directions of a model's numbers along which its loops and constraints stay closed.
 
 The pin of a planar loop may move in the plane, but not across it. A fit holds such directions: the
-model has no start beside them.
+model has no start beside them, or cannot move. A redundant third crank of a parallelogram closes at
+one pose with a pin that is off along the coupler's path; rows are therefore compared at other poses
+of the motion, too.
 """
 
 from __future__ import annotations
@@ -13,10 +15,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lierb.analysis.identifiability import HELD, Direction, described
+from lierb.errors import LierbError
+from lierb.lie import se3
+from lierb.model.problem import as_mechanism
 from lierb.runs.parameters import Parameter, labels_of, misfits_of, slices_of, units_of
+from lierb.runs.start_directions import Start
 from lierb.runs.variations import Variation
 from lierb.support.arrays import Array
 
+TURN = 0.2  # of the fastest link between poses that are compared, rad
+SLOWEST = 1e-6  # turn of a link by a random motion of 1 rad/s and 1 m/s, if it can turn
+SEED = 2016
 FELT = 1e-9  # least change of scaled rows by 1 m or 1 rad that is more than rounding
 MISSED = 1e-6  # share of a change that no motion of the links follows, if it is not rounding
 ROUNDING = 1e-9  # of the combinations of numbers that loops follow
@@ -70,10 +79,14 @@ def followed(variation: Variation, count: int, experiments: int | None = None) -
     matrix = np.broadcast_to(np.eye(size), (*lead, size, size))
     free = Followed(np.arange(size), matrix)
     moving = [p for p in numbers if p.moves_start]
-    changes = misfits_of(moving, variation.start) if moving and variation.has_rows else None
-    if changes is None:
+    start = variation.start
+    if not moving or not (start.mechanism.loops or start.with_rows):
         return free
-    wanted, missed = (_by_experiment(x, count) for x in changes)
+    pairs = [misfits_of(moving, each) for each in (start, *_elsewhere(start))]
+    wanted, missed = (
+        np.concatenate([_by_experiment(x, count) for x in arrays], axis=1)
+        for arrays in zip(*pairs, strict=True)
+    )
     scales = np.maximum(np.linalg.norm(wanted, axis=1).max(axis=0), FELT)
     missed = missed / scales
     slices = slices_of(numbers)
@@ -91,6 +104,28 @@ def followed(variation: Variation, count: int, experiments: int | None = None) -
     matrix[..., rows, others] = follow if lead else follow[0]
     kept = np.setdiff1d(np.arange(size), columns[held])
     return Followed(kept, matrix[..., kept])
+
+
+def _elsewhere(start: Start) -> list[Start]:
+    """Return the start at other poses of the mechanism's motion, without its motors."""
+    gears = [force for force in start.mechanism.forces if force.kind.joints > 1]
+    walking = as_mechanism(start.model, forces=gears, constraints=start.mechanism.constraints)
+    links, random = walking.names, np.random.default_rng(SEED)
+    poses = dict(zip(links, start.poses, strict=True))
+    given = {link: random.uniform(-1.0, 1.0, 6) for link in links}
+    t0, starts = float(start.t0), []
+    try:
+        twists = walking.project(given, poses, t0=t0)
+        fastest = max(float(np.max(np.linalg.norm(x[..., :3], axis=-1))) for x in twists.values())
+        for step in (-TURN, TURN) if fastest > SLOWEST else ():
+            moved = {k: poses[k] @ se3.exp(step / fastest * twists[k]) for k in links}
+            closed = walking.close(moved, t0=t0)
+            at_rest = dict.fromkeys(start.model.link_names, np.zeros(6))
+            own = dict(zip(start.model.link_names, closed.values(), strict=True))
+            starts.append(Start(start.model, own, at_rest, t0))
+    except LierbError:  # beyond a dead point, for instance
+        pass
+    return starts
 
 
 def held_directions(numbers: Sequence[Parameter], held: Array) -> tuple[Direction, ...]:

@@ -98,14 +98,16 @@ class Decomposed(NamedTuple):
         return np.asarray(self.is_felt & (np.linalg.norm(null, axis=-2) <= SHARE))
 
 
-def decomposed(jacobian: Array, sizes: Array) -> Decomposed:
+def decomposed(jacobian: Array, sizes: Array, least: float = 0.0) -> Decomposed:
     """Decompose Jacobians by singular values.
 
     jacobian : (…, residuals, unknowns).   sizes : typical size of each unknown, (…, unknowns).
+    least : change of all residuals together that is rounding.
     """
     scaled = jacobian * sizes[..., None, :]
     norms = np.linalg.norm(scaled, axis=-2)
-    is_felt = norms > NO_EFFECT * norms.max(axis=-1, keepdims=True, initial=0.0)
+    largest = norms.max(axis=-1, keepdims=True, initial=0.0)
+    is_felt = norms > np.maximum(NO_EFFECT * largest, least)
     units = np.where(is_felt, sizes / np.where(is_felt, norms, 1.0), 0.0)
     left, values, rows = np.linalg.svd(jacobian * units[..., None, :], full_matrices=False)
     if rows.shape[-2] < rows.shape[-1]:  # fewer residuals than unknowns
@@ -114,12 +116,13 @@ def decomposed(jacobian: Array, sizes: Array) -> Decomposed:
     return Decomposed(units, is_felt, left, values, rows, is_told)
 
 
-def identified(jacobian: Array, sizes: Array) -> Identified:
+def identified(jacobian: Array, sizes: Array, least: float = 0.0) -> Identified:
     """Find the directions that data tell, and those that they do not.
 
     jacobian : (residuals, unknowns).   sizes : typical size of each unknown.
+    least : as in `decomposed`.
     """
-    parts = decomposed(jacobian, sizes)
+    parts = decomposed(jacobian, sizes, least)
     is_felt, rank, count = parts.is_felt, int(parts.rank), len(sizes)
     null = np.zeros((count - rank, count))
     first = count - int(is_felt.sum())

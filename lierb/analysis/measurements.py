@@ -52,6 +52,17 @@ class Measured:
         whole: NDArray[np.bool_] = np.all(known, axis=-1, keepdims=True)
         return np.repeat(whole, width, axis=-1)
 
+    @property
+    def scaled(self) -> Array:
+        """Return the values over sigma that are present, (samples,)."""
+        values = self.values.reshape(*self.values.shape[:2], -1)
+        values = (
+            values / self.sigma
+            if values.shape[-1] == self.quantity.width
+            else values / self.sigma.min()
+        )
+        return values[np.isfinite(values)]
+
     def difference(self, result: Result) -> Array:
         """Return run minus data, (times, n, width); NaN without a sample."""
         return self.quantity.difference(self.values, self.quantity.values(result))

@@ -272,7 +272,7 @@ def seeds_of(parameters: Iterable[Parameter], start: Start) -> dict[str, Seeds]:
     return found
 
 
-def misfits_of(parameters: Sequence[Parameter], start: Start) -> tuple[Array, Array] | None:
+def misfits_of(parameters: Sequence[Parameter], start: Start) -> tuple[Array, Array]:
     """Return `Start.misfits` along the directions of parameters with which the start moves."""
     pairs = zip(slices_of(parameters).values(), parameters, strict=True)
     return start.misfits(_stacked([(part, p.seeds(start)) for part, p in pairs]))

@@ -97,8 +97,8 @@ class Start:
             moved = moved._replace(poses=[pose + change for pose, change in pairs])
         return self._following(frames, moved)
 
-    def misfits(self, seeds: Seeds) -> tuple[Array, Array] | None:
-        """Return the changes that joints and constraints ask of the rows of poses, or None.
+    def misfits(self, seeds: Seeds) -> tuple[Array, Array]:
+        """Return the changes that joints, loops and constraints ask of the rows of poses.
 
         seeds : of fields of the inputs, as in `moved`.
 
@@ -107,8 +107,6 @@ class Start:
         """
         frames = Frames(self, seeds)
         off = self._changes(frames, self._carried(frames), is_rate=False)
-        if off is None:
-            return None
         rows = self._decomposed(is_rate=False)
         wanted = off / rows.lengths
         return wanted, np.stack([rows.missed(each) for each in wanted])

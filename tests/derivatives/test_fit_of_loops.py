@@ -4,7 +4,10 @@ import numpy as np
 import pytest
 
 import lierb
+from lierb.analysis.followed import followed, held_directions
 from lierb.errors import ArgumentError
+from lierb.runs.parameters import separate_parameters
+from lierb.runs.variations import Variation, with_start
 
 AXIS = np.array([2.0, 3.0, 6.0]) / 7.0  # normal of the plane, in all bodies and in the ground
 ALONG = np.array([3.0, -2.0, 0.0]) / np.sqrt(13.0)
@@ -115,3 +118,42 @@ def test_a_covariance_across_the_plane_is_refused():
         lierb.propagate(made, {name: 1e-5}, *given, **start(made), **RUN)
     spread = lierb.propagate(made, in_plane, *given, **start(made), **RUN, monte_carlo=20)
     assert spread.holds["slider.position"].all()
+
+
+def test_directions_that_take_the_mobility_are_held():
+    """A third crank of a parallelogram: its pin may move along no direction of the plane.
+
+    Along the coupler's path the loop closes to first order, and even exactly, at the start alone.
+    """
+    length, base = 0.2, 0.3
+    x, z = np.eye(3)[0], np.eye(3)[2]
+
+    def crank(name, place):
+        body = lierb.bodies.box((length, 0.02, 0.02), mass=0.3)
+        joint = lierb.joints.revolute(-0.5 * length * x, parent_point=place * x, axis=z)
+        return lierb.Link(name, body, joint)
+
+    half = 0.5 * length * x
+    coupler = lierb.joints.revolute(-0.5 * base * x, parent_point=half, axis=z)
+    bar = lierb.bodies.box((base, 0.02, 0.02), mass=0.4)
+    links = [crank("first", 0.0), lierb.Link("coupler", bar, coupler, "first")]
+    links += [crank("second", base), crank("third", 0.5 * base)]
+    revolute = lierb.joints.revolute
+    loops = [
+        lierb.Loop("end", revolute(0.5 * base * x, parent_point=half, axis=z), "coupler", "second"),
+        lierb.Loop("pin", revolute(parent_point=half, axis=z), "coupler", "third"),
+    ]
+    made = lierb.Mechanism(links, loops)
+    pose = made.pose({"first": -0.9, "coupler": 0.9, "second": -0.9, "third": -0.9})
+    base_start = with_start(made, pose, made.twist({}, pose))
+
+    def held(*names):
+        chosen = separate_parameters(made, names)
+        found = followed(Variation(base_start, chosen, 0.0), 1)
+        return [str(x) for x in held_directions(chosen, found.held)]
+
+    pin = "pin.joint.body_point"
+    assert sorted(held(pin)) == [f"{pin}[{i}] is held by loops" for i in range(3)]
+    both = held(pin, "third.joint.ground_point")  # both may be shifted by the same
+    assert len(both) == 3
+    assert all("together are held" in sentence for sentence in both)
