@@ -204,7 +204,7 @@ def level(R):
     return R[2, 2]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_sprung_body_is_where_newton_and_euler_say():
     """The spring, at stages off unit length; rows and events within steps."""
     plain, twist0 = tilted("spherical")

@@ -221,7 +221,7 @@ def test_edited_kernel_changes_the_next_process(warm, edit):
     assert fallen(copy.run()) == FALLEN["Euler"]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_edit_after_the_import_does_not_poison_the_cache(copy):
     # this process has read the old source when the new one is written
     process = copy.start(BRACKET + "print(flush=True)\ninput()\nbracket()")

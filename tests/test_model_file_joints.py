@@ -151,7 +151,7 @@ def test_springs_of_hinges_count_turns_unless_stops_keep_them_near(tmp_path, joi
         assert force.kind.turns == ("" if start is None else "turned_a")
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_springs_pull_back_from_every_pose_within_the_limits_and_from_many_turns(tmp_path):
     """Right: s + (q₀ − s) cos ωt + v₀/ω sin ωt of two hinges; b spins six turns."""
     inertial = '<inertial pos="0 0 0" mass="1" diaginertia="0.006 0.006 0.006"/>'

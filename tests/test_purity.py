@@ -339,7 +339,7 @@ OFF_THE_PATH = {
 }
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("line", OFF_THE_PATH)
 def test_the_warning_names_line_and_remedy_and_how_much_slower(line):
     with pytest.warns(lierb.errors.ScalarFunctionWarning) as told:

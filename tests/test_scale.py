@@ -396,7 +396,7 @@ def test_sizes_are_those_of_the_motion(results):
         assert sizes["rotation"] == 1.0
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_errors_of_small_bodies_are_drawn(results):
     """The drift on SO(3)×R³, 1e-7 of the top's length, where figures would draw none."""
     study_plots = pytest.importorskip("lierb.studies.pages.figures")

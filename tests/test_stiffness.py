@@ -120,6 +120,7 @@ def test_backward_differences_are_l_stable(name):
 GROWTH = ["Verlet", "RATTLie", "SHAKELie", "BLieDF1", "BLieDF2"]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", long_but(GROWTH, "BLieDF2"))
 def test_amplification_is_the_growth_of_a_damped_oscillation_in_a_run(name):
     """qₙ qₙ₊₂ − qₙ₊₁² of a pair of modes grows by |R|² in a step."""

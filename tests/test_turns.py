@@ -99,7 +99,7 @@ STOPS = -4.0 * np.pi - 1.0, 9.0 * np.pi  # rad
 RATES = np.array([5.0, 7.0, 11.0])
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("solver", ["auto", pytest.param("looped", marks=pytest.mark.long)])
 def test_stops_many_turns_apart_are_met(solver):
     """Right: half an oscillation in each stop, straight flight in between (closed form)."""

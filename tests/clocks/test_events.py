@@ -217,6 +217,7 @@ def test_an_event_at_the_very_end_is_seen():
 WITHOUT_EXTENSION = long_but(["RK4", "Heun", "CF4"], "RK4")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("below", [1e-3, 1e-6])
 @pytest.mark.parametrize("method", ["DP54", *WITHOUT_EXTENSION])
 def test_two_crossings_in_a_step_are_found(below, method):

@@ -220,7 +220,7 @@ def test_integrate_meets_damped_stops():
             assert angle == pytest.approx(side * (place - left * speed * rest), abs=1e-6)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_integrate_follows_a_spring_past_half_a_turn():
     """A torsional spring jumps half a turn from where it is slack. Energy is kept across the jump,
     ½k(π)² on both sides; a wheel that turns through has a period by quadrature.

@@ -269,7 +269,7 @@ def test_terminal_events_of_a_top_have_derivatives_forwards():
 # ---- memory and failures -----------------------------------------------------------------------
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_states_that_are_made_again_change_no_bit(monkeypatch):
     whole = lierb.gradient(top(), "aim", **START, **STEPS)
     monkeypatch.setattr(adjoint, "MOST_KEPT", 0)
@@ -352,7 +352,7 @@ def chain(**more) -> lierb.Mechanism:
     return lierb.Mechanism([upper, lower], gravity=(0.0, 0.0, -9.81), **observed)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("of", ["swing", "energy"])
 def test_looped_code_has_the_gradients_of_unrolled_code(of):
     mechanism = chain()

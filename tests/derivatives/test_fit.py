@@ -349,7 +349,7 @@ def test_covariance_of_names_is_a_block():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("experiments", [0, 2])
+@pytest.mark.parametrize("experiments", [0, pytest.param(2, marks=pytest.mark.long)])
 def test_errors_of_a_start_on_a_hinge_are_those_of_a_straight_line(experiments):
     """φ = φ₀ + ω t on a hinge 0.5 m from the frame: a turn of the start moves the frame, too."""
     hinge = lierb.joints.revolute(body_point=(0.5, 0.0, 0.0))

@@ -144,7 +144,7 @@ def test_a_centre_of_mass_on_another_cspace_is_refused():
     refused(free_body(), 'body.com cannot change on cspace="SO3xR3"', "body.com", cspace="SO3xR3")
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_runs_that_continue_are_refused_and_copies_of_their_poses_are_not():
     problem, _ = top()
     end = spun().end

@@ -67,7 +67,7 @@ def test_adaptive_steps_have_the_derivatives_of_complex_steps():
 
 @pytest.mark.parametrize(
     "options",
-    [pytest.param(ADAPTIVE, marks=pytest.mark.slow), STEPS],
+    [pytest.param(ADAPTIVE, marks=pytest.mark.long), STEPS],
     ids=["adaptive", "fixed"],
 )
 def test_values_of_a_run_with_derivatives_keep_their_bits(options):

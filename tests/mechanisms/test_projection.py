@@ -61,7 +61,7 @@ def fallen(made, **options):
     return np.array(result.summary["status"].to_pylist()), result["left"].omega[:, 1]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.filterwarnings("ignore::lierb.errors.FailedTrajectoryWarning")
 def test_projection_near_a_change_point_is_right_or_singular():
     made = parallelogram()

@@ -211,7 +211,7 @@ def passes(rate, t_end) -> np.ndarray:
     return np.arange(1, 1 + int(rate * t_end / (2 * np.pi))) * 2 * np.pi / rate
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("rtol", [1e-3, 1e-6, 1e-9])
 @pytest.mark.parametrize("method", [None, "DP54"])
 def test_c53_revolutions_are_all_counted(method, rtol):
