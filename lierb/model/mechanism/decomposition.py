@@ -9,12 +9,10 @@ allow.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
 from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numba import get_num_threads
 
 from lierb.kernels.mechanics.newton_euler import Parameters, inertia_about_com
 from lierb.kernels.numbers.arithmetic import where
@@ -36,7 +34,6 @@ from lierb.support.arrays import Array, assembled
 # Bound between nonzero and zero singular values, relative to the largest. A start
 # may violate its joints by 1e-9, and redundant rows are then dependent only to that accuracy.
 RANK_TOLERANCE = 1e-7
-LEAST_OF_THREAD = 64  # decompositions, which take milliseconds
 
 
 class Metric:
@@ -70,7 +67,7 @@ class Decomposed:
     """Singular value decompositions of matrices A, (count, rows, n)."""
 
     def __init__(self, matrix: Array) -> None:
-        u, self.values, self.vt = _svd(matrix)
+        u, self.values, self.vt = np.linalg.svd(matrix)
         self.u = u[..., : self.values.shape[1]]
         self.ranks = self.ranks_above(RANK_TOLERANCE)
 
@@ -191,17 +188,6 @@ def _easing(free: Array, moving: Array, y: Array) -> Array:
     except np.linalg.LinAlgError:  # free motions that are equal to rounding, as of a mass of 1e300
         parts = np.full_like(parts, np.nan)  # the caller's iteration does not converge
     return summed(np.swapaxes(free, 1, 2) * parts[:, None, :])
-
-
-def _svd(matrix: Array) -> list[Array]:
-    """Decompose matrices in Numba's number of threads: LAPACK works without Python's lock."""
-    size = max(-(-len(matrix) // get_num_threads()), LEAST_OF_THREAD)
-    parts = [matrix[first : first + size] for first in range(0, len(matrix), size)]
-    if len(parts) <= 1:
-        return [*np.linalg.svd(matrix)]
-    with ThreadPoolExecutor(len(parts)) as pool:
-        found = [*pool.map(np.linalg.svd, parts)]
-    return [np.concatenate(arrays) for arrays in zip(*found, strict=True)]
 
 
 def summed(array: Array) -> Array:
