@@ -20,7 +20,7 @@ from lierb.runs.variations import Variation, Varied
 from lierb.support.arrays import Array
 from lierb.support.memory import require_memory
 
-NO_EFFECT = 1e-11  # change of the data by an unknown of its size that is rounding, relative to them
+DATA_ROUNDING = 1e-11  # relative change of all data together that is rounding
 PULL = 1e-6  # weight of the base, relative to the data's, where they do not tell all directions
 
 
@@ -63,7 +63,7 @@ class Task:
     def told(self) -> Identified:
         """Return the unknowns at the base as far as data tell them."""
         values = np.concatenate([column.scaled for column in self.data.columns])
-        least = NO_EFFECT * float(np.linalg.norm(values))
+        least = DATA_ROUNDING * float(np.linalg.norm(values))
         return identified(self.slope, self.unknowns.sizes, least)
 
     @property

@@ -22,6 +22,7 @@ from lierb.analysis.identifiability import (
     of_numbers,
 )
 from lierb.analysis.measurements import Measurements, measurements
+from lierb.analysis.minimising import REASONS, STUCK
 from lierb.analysis.quantities import records_of, require_derivatives
 from lierb.analysis.unknowns import Unknowns
 from lierb.analysis.varied_runs import Runs, runs_of
@@ -257,8 +258,7 @@ def _sides(solution: Any, low: Array, high: Array) -> Array:
 
 def _report(task: Task, solution: Any, evaluations: int, sides: Array, refusal: str) -> Fit:
     unknowns, varied, result, told = task.unknowns, task.variation.base, task.at_base, task.told
-    differences, weighted = task.differences(result), task.weighted(result)
-    chi2, freedoms = float(weighted @ weighted), len(weighted) - told.rank
+    differences, chi2, freedoms = task.differences(result), task.chi2, task.data.size - told.rank
     scale = 1.0 if task.data.has_sigma else chi2 / freedoms if freedoms else np.nan
     covariance, deviations = of_numbers(told, unknowns.spread, scale)
     residuals = {
@@ -295,7 +295,7 @@ def _status(solution: Any, is_minimum: bool, refusal: str, at_bounds: Mapping[st
         3: "the estimate changes no more",
         4: "neither the sum of squares nor the estimate changes any more",
     }  # fmt: skip
-    stuck = "no step decreases the sum of squares: runs nearby fail, or residuals jump"
+    stuck = REASONS[STUCK]
     if refusal:
         stuck = f"no step decreases the sum of squares, for there is no run nearby: {refusal}"
     reason = stuck if solution.status > 0 and not is_minimum else reasons[int(solution.status)]

@@ -152,10 +152,8 @@ def _pivots(missed: Array) -> list[int]:
     missed, pivots = missed.copy(), list[int]()
     while (sizes := np.linalg.norm(missed, axis=1)).max(initial=0.0) > MISSED:
         pivot = int(np.argmax(np.sum(sizes**2, axis=0)))
-        own = (
-            missed[..., pivot]
-            / np.where(sizes[:, pivot] > MISSED, sizes[:, pivot], np.inf)[:, None]
-        )
+        size = sizes[:, pivot]
+        own = missed[..., pivot] / np.where(size > MISSED, size, np.inf)[:, None]
         for _ in range(2):  # the second time removes rounding
             missed -= own[..., None] * (own[:, None, :] @ missed)
         missed[..., pivot] = 0.0

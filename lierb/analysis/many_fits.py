@@ -10,12 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lierb.analysis.experiments import flat_start, measured_experiments, of_experiments
-from lierb.analysis.fitting import (
-    chosen_and_guesses,
-    described_directions,
-    fit_runs,
-    require_whole,
-)
+from lierb.analysis.fitting import chosen_and_guesses, described_directions, fit_runs, require_whole
 from lierb.analysis.followed import held_directions
 from lierb.analysis.guesses import guessed
 from lierb.analysis.identifiability import (

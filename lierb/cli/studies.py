@@ -324,7 +324,7 @@ def _replay(study: Study, folder: Path, trajectory: int, threads: int | None) ->
     from lierb.studies.execution.replaying import replay
 
     click.echo(
-        f"Integrating trajectory {trajectory}; code that records all is compiled first ...",
+        f"Integrating trajectory {trajectory}; the first time, its code is compiled ...",
         err=True,
     )
     for number, (setting, tables) in enumerate(replay(study, trajectory, threads=threads)):
