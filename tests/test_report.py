@@ -276,7 +276,7 @@ HARD = {  # what a study may find, and its figures
     "one body, one step": {"sample": {"n": 1}, "integrate": {"dt": 0.05, "save_every": 1}},
     "no error at all": {
         "sample": {"n": 3, "initial": {"omega": [0.0, 0.0, 0.0]}},
-        "problem": {"gravity": [0.0] * 3}, "integrate": {"save_every": 10},
+        "problem": {"gravity": [0.0] * 3}, "integrate": {"save_every": 10, "cspace": "SE3"},
     },
     "names that no font has": {"sample": {"n": 3}, "integrate": {"dt": 1e-3}},
 }  # fmt: skip
