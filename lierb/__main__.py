@@ -4,7 +4,8 @@ import sys
 import warnings
 from typing import Any
 
-from lierb.support.extras import MissingExtraError, require
+from lierb.errors import MissingExtraError
+from lierb.support.extras import require
 
 
 def main() -> None:

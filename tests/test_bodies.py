@@ -5,8 +5,7 @@ import pytest
 from cases import integrate
 
 import lierb
-from lierb.errors import ArgumentError
-from lierb.support.extras import MissingExtraError
+from lierb.errors import ArgumentError, MissingExtraError
 
 MASS, DENSITY = 3.7, 850.0
 SIZE, RADIUS, LENGTH = (0.3, 0.7, 0.2), 0.4, 1.3

@@ -14,7 +14,8 @@ import pytest
 
 import lierb.analysis.paper
 import lierb.analysis.paper_examples
-from lierb.support.extras import EXTRAS, MissingExtraError, remedy, require
+from lierb.errors import MissingExtraError
+from lierb.support.extras import EXTRAS, remedy, require
 
 pytest.importorskip("rich")
 pytest.importorskip("click")

@@ -440,7 +440,7 @@ def test_markdown_has_a_row_for_each_run_and_method(found):
         assert len(lines) == 2 + rows
         assert len({line.count(" | ") for line in lines}) == 1
     assert all(line.startswith("- ") for line in notes.splitlines())
-    assert "over the 3 trajectories the largest each" in notes
+    assert "the largest over the 3 trajectories" in notes
     assert "taken to be exact" in notes
     few = found.to_markdown(["method", "dt", "error.v"]).splitlines()
     assert few[0] == "| method | dt, s | v, m/s |"

@@ -152,7 +152,7 @@ class TestCommands:
         assert result.exit_code == 0, result.output
         for cspace in ("SE3", "reduced"):
             assert f"spherical, Euler, {cspace}, local" in result.stdout
-        assert "2 kernels are ready" in result.stdout
+        assert "ready: 2 kernels" in result.stdout
 
     def test_warmup_suggests_a_name(self):
         result = invoke("warmup", "sperical")

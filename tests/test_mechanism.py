@@ -296,7 +296,7 @@ def test_a_planar_loop_closes_to_the_digits_of_its_numbers(misfit):
 @pytest.mark.parametrize("misfit", [1e-8, 1e-5])
 def test_close_asks_for_digits_where_a_planar_loop_does_not_fit(misfit):
     bars = off_plane(fourbar(), misfit)
-    with pytest.raises(PoseError, match=r"fit each other, to 1e-09: give .* more digits") as caught:
+    with pytest.raises(PoseError, match=r"axes match, to 1e-09: give .* more digits") as caught:
         bars.close(bars.pose({"crank": 0.7, "rod": -0.1, "rocker": 1.7}))
     assert "may not reach" not in str(caught.value)
 
@@ -653,7 +653,7 @@ def test_a_twist_that_opens_the_loop_is_told():
 
 def test_lengths_that_do_not_reach_are_told():
     bars = fourbar(base=3.0)
-    with pytest.raises(PoseError, match=r"stays open by .* m.*they may not reach"):
+    with pytest.raises(PoseError, match=r"stays open by .* m.*links may not reach"):
         bars.close(bars.pose())
 
 

@@ -234,7 +234,7 @@ def test_moved_starts_are_described(written):
     ("hold", "message"),
     [
         ('"krank"', r"^bar.toml:\d+: initial: hold='krank' is unknown; .* Did you mean 'crank'"),
-        ('["crank", "coupler"]', r"initial: trajectory 0 does not come to close .* hold gives the "
+        ('["crank", "coupler"]', r"initial: trajectory 0: no closed pose .* hold gives the "
          "coordinates of crank, coupler"),
         ('"rocker"\nclose = "never"', "initial.hold: is of starts that are closed; leave out"),
     ],
@@ -525,7 +525,7 @@ def test_trajectory_that_cannot_be_closed_is_named_by_its_number():
     design = lierb.sampling.Design(quantities, method="grid")
     study = lierb.study_of(four_bar(), design, initial=INITIAL, dt=1e-3, t_end=0.1)
     assert len(study.batch(0, 10).twist0["crank"]) == 10
-    with pytest.raises(StudyError, match="initial: trajectory 10 does not come to close"):
+    with pytest.raises(StudyError, match="initial: trajectory 10: no closed pose is found"):
         study.batch(8, 3)
 
 

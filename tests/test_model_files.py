@@ -12,8 +12,7 @@ from jobs.page import names_of
 from scipy.spatial.transform import Rotation
 
 import lierb
-from lierb.errors import ArgumentError, LeftOutWarning
-from lierb.support.extras import MissingExtraError
+from lierb.errors import ArgumentError, LeftOutWarning, MissingExtraError
 
 mujoco = pytest.importorskip("mujoco")
 

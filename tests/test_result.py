@@ -20,13 +20,13 @@ from lierb.cli import cli
 from lierb.errors import (
     ArgumentError,
     FailedTrajectoryWarning,
+    MissingExtraError,
     StiffStepWarning,
     UnknownNameError,
 )
 from lierb.model.functions.column_names import COMPONENTS
 from lierb.results.columns import as_array, as_codes, numbers, texts, vectors
 from lierb.results.failures import REMEDIES, STATUS_NAMES, SUCCESSES, Failures
-from lierb.support.extras import MissingExtraError
 
 COUNT, STEPS, DT = 5, 6, 1e-2
 TIMES = 4  # steps 0, 2, 4, 6

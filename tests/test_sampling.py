@@ -22,7 +22,7 @@ from scipy.stats import qmc
 
 import lierb
 from lierb import sampling
-from lierb.errors import ArgumentError, LierbError, UnknownNameError
+from lierb.errors import ArgumentError, LierbError, MissingExtraError, UnknownNameError
 from lierb.sampling import (
     Constant,
     Design,
@@ -40,7 +40,6 @@ from lierb.sampling import (
     streams,
 )
 from lierb.support.arrays import SLICE
-from lierb.support.extras import MissingExtraError
 
 LEVEL = 1e-4
 LIMIT = stats.norm.isf(LEVEL / 2.0)  # of a normal of mean 0 and std 1
@@ -700,7 +699,7 @@ print(Design({"u": Uniform(0.0, 1.0), "r": Rotation(), "d": Direction()}, 3).dra
 for design in (Design({"z": Normal(0.0, 1.0)}, 1), Design({"u": Uniform(0, 1)}, 1, 0, "sobol")):
     try:
         design.draw()
-    except lierb.support.extras.MissingExtraError as error:
+    except lierb.errors.MissingExtraError as error:
         print(error)
 """
 

@@ -595,12 +595,12 @@ REFUSED = [
     ("alpha2", "spherical", {"max_steps": 5}, "alpha2 .* all its steps have one length"),
     ("SHAKELie", "spherical", {"save_at": [0.1]}, "SHAKELie .* all its steps have one length"),
     ("SHAKELie", "spherical", {"cspace": "reduced"}, 'SHAKELie needs cspace="SE3" or "SO3xR3"'),
-    ("SHAKELie", "spherical", {"rtol": 1e-6}, "need a method with an embedded one"),
+    ("SHAKELie", "spherical", {"rtol": 1e-6}, "need a method with an embedded error"),
     ("BLieDF1", "spherical", {"save_at": [0.1]}, "BLieDF1 .* all its steps have one length"),
     ("BLieDF2", "spherical", {"max_steps": 5}, "BLieDF2 .* all its steps have one length"),
     ("BLieDF2", "spherical", {"update": "global"}, 'BLieDF2 needs update="local"'),
     ("BLieDF2", "spherical", {"solver": "subgroup"}, 'BLieDF2 needs solver="saddle"'),
-    ("RATTLie", "spherical", {"rtol": 1e-6}, "need a method with an embedded one"),
+    ("RATTLie", "spherical", {"rtol": 1e-6}, "need a method with an embedded error"),
 ]
 
 

@@ -49,7 +49,7 @@ Progress = bool | Callable[[int, int, str], object] | None
 SHARE = 1000  # progress units in a run
 MOST_RUNS = 1000
 COUNTED = (
-    "Right-hand sides are counted as stages × (steps + rejected), of a trajectory in the mean; a "
+    "Right-hand sides are counted as stages × (steps + rejected), the mean over trajectories; a "
     "last stage that is the next step's first is not counted."
 )
 
@@ -306,7 +306,7 @@ def _notes(
     case: Case, reference: Reference, overhead: float, count: int, measure_every: int
 ) -> Iterator[str]:
     model, norm, repeats = case.model, case.norm, case.repeats
-    of_all = f", over the {count} trajectories the {norm} each" if count > 1 else ""
+    of_all = f", the {norm} over the {count} trajectories" if count > 1 else ""
     links = ", of the farthest link" if model.joint_names else ""
     ended = ", or where an event has ended a trajectory" if model.events else ""
     yield f"Errors are those at t = {case.t_end:g} s{ended}, from t = {case.t0:g} s{links}{of_all}."
@@ -320,8 +320,8 @@ def _notes(
         )
     else:
         yield f"Reference: {reference.what}, taken to be exact."
-    yield "Errors in brackets are no more than the reference's own, or than rounding adds up to."
-    yield f"Drifts are the largest of the run, looked at every {counted(measure_every, 'step')}."
+    yield "Errors in brackets do not exceed those of the reference, or the accumulated rounding."
+    yield f"Drifts are the largest of the run, measured every {counted(measure_every, 'step')}."
     if repeats:
         cpu = machine()["cpu"]
         yield (
@@ -330,7 +330,7 @@ def _notes(
             f"before, the best of {repeats}."
         )
         if math.isfinite(overhead):
-            yield f"Of that a call takes {1e3 * overhead:.2g} ms whatever the steps are."
+            yield f"A call takes {1e3 * overhead:.2g} ms of that, whatever the number of steps."
     yield COUNTED
 
 

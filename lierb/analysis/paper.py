@@ -129,7 +129,7 @@ def run_paper(
 
     Raises
     ------
-    lierb.support.extras.MissingExtraError
+    MissingExtraError
         `figures` is True and Matplotlib is not installed.
 
     Examples

@@ -16,8 +16,8 @@ import click
 from lierb.cli import studies as study_cli
 from lierb.cli.comparing import compare
 from lierb.cli.terminal import INTERRUPTED, print_whole, progress_of_cases, wrapped
-from lierb.errors import LierbError
-from lierb.support.extras import MissingExtraError, require
+from lierb.errors import LierbError, MissingExtraError
+from lierb.support.extras import require
 from lierb.support.representations import counted, rounded
 
 if TYPE_CHECKING:
@@ -199,7 +199,7 @@ def warmup(
         name = f"{kernel.joint}, {kernel.method}, {kernel.cspace}, {kernel.update}"
         click.echo(f"{name:40}{kernel.seconds:6.2f} s")
     folder = found_by()["cache"]["folder"]
-    click.echo(f"{len(kernels)} kernels are ready; folder: {folder or NO_CACHE}")
+    click.echo(f"ready: {counted(len(kernels), 'kernel')}; folder: {folder or NO_CACHE}")
 
 
 def _findings_table(report: PaperReport) -> Table:

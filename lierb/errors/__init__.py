@@ -18,7 +18,7 @@ __all__ = [
     "TwistError", "StudyError", "StudyFileError", "TimeGridError", "MemoryLimitError",
     "InconsistentStateWarning", "FailedTrajectoryWarning", "FailedFitWarning",
     "ScalarFunctionWarning", "StudyWarning", "StiffStepWarning", "LeftOutWarning",
-    "DerivativeWarning", "ForkError",
+    "DerivativeWarning", "ForkError", "MissingExtraError",
 ]  # fmt: skip
 
 
@@ -119,6 +119,10 @@ class DerivativeWarning(UserWarning):
     too. `lierb.integrate` does not add this jump: derivatives are right only if the function is
     continuous there, such as a spring that is slack on one side, or if no trajectory gets there.
     """
+
+
+class MissingExtraError(ImportError):
+    """A package of an optional part of lierb is not installed."""
 
 
 class ForkError(RuntimeError):

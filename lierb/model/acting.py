@@ -53,12 +53,14 @@ def shown_element(element: Element) -> str:
 
 def require(argument: str, value: object, kind: type, expected: str) -> None:
     if not isinstance(value, kind):
-        raise ArgumentError(f"{argument} must be {expected}, got {brief(value)}")
+        hint = "; call it, with its parameters" if callable(value) else ""
+        raise ArgumentError(f"{argument} must be {expected}, got {brief(value)}{hint}")
 
 
 def all_of(argument: str, given: Any, kind: type, one: str, several: str) -> Any:
     """Return the items of an argument, or the one item that it is. Raises ArgumentError."""
-    items = items_of(argument, given, several) if isinstance(given, Iterable) else (given,)
+    is_one = isinstance(given, str) or not isinstance(given, Iterable)
+    items = (given,) if is_one else items_of(argument, given, several)
     for number, item in enumerate(items):
         reject_functions(f"{argument}[{number}]", item)
         if argument in DECORATORS and inspect.isroutine(item):

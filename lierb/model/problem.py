@@ -310,9 +310,8 @@ class Problem(Model):
             if unfit := unfit_constraint(rows, given, body, label, member=number):
                 raise unfit
             raise PoseError(
-                f"{label(number)} does not come to close "
-                f"the {self.joint.name} joint in {NEWTON_STEPS} Newton steps; start nearer to a "
-                "pose that does, such as problem.joint.closed_pose"
+                f"{label(number)}: {NEWTON_STEPS} Newton steps do not close the {self.joint.name} "
+                "joint; start nearer to a closed pose, such as problem.joint.closed_pose"
             )
         q, d = placed
         turned = [bearing <= 0.0 for bearing in bearings(rows, q)]
@@ -341,7 +340,14 @@ class Problem(Model):
         Returns
         -------
         ndarray, shape (6,) or (n, 6)
-            V − M⁻¹Jᵀ(J M⁻¹Jᵀ)⁻¹ J V.
+            V − M⁻¹Jᵀ(J M⁻¹Jᵀ)⁻¹ (J V − prescribed).
+
+        Raises
+        ------
+        ArgumentError
+            An argument has the wrong shape, or is not finite.
+        PoseError
+            A constraint of your own has no value at the pose.
 
         Examples
         --------

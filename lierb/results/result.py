@@ -55,7 +55,7 @@ class Result(RunStates):
         One row for each crossing of an event, with the state there, by trajectory and time; None
         for a problem without events.
     sensitivities : Sensitivities or None
-        Tables of derivatives, `summary` and `history`; None without `with_respect_to`.
+        Tables of derivatives, `summary`, `history` and `events`; None without `with_respect_to`.
 
     Examples
     --------

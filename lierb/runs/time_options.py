@@ -85,12 +85,12 @@ def _tolerances(
     if method.error is None:
         able = ", ".join(name for name, each in METHODS.items() if each.error is not None)
         raise ArgumentError(
-            f"rtol= and atol= need a method with an embedded one to tell errors by ({able}), not "
+            f"rtol= and atol= need a method with an embedded error estimate ({able}), not "
             f"{method.name}; give another method=, or dt= for fixed steps"
         )
     if save_every is not None:
         raise ArgumentError(
-            f"save_every={brief(save_every)} counts steps, of which each trajectory has its own "
+            f"save_every={brief(save_every)} counts steps, which differ between trajectories "
             "with rtol=; give save_at=, times in s"
         )
     relative = RTOL if rtol is None else _checked_rtol(rtol)
@@ -141,7 +141,7 @@ def _checked_length(name: str, given: Any, zero: bool = False) -> float:
     number = _real(given)
     fits = 0.0 <= number < math.inf if zero else 0.0 < number <= math.inf
     if not fits:
-        raise ArgumentError(f"{name}={brief(given)}; expected a positive time in s")
+        raise ArgumentError(f"{name}={brief(given)}; expected a positive number, in s")
     return number
 
 

@@ -70,6 +70,7 @@ class Design:
 
     Examples
     --------
+    >>> from lierb.sampling import Design, Values
     >>> grid = Design({"mass": Values([1.0, 2.0]), "pitch": Values([0.1, 0.2, 0.3])}, method="grid")
     >>> grid.n, grid.draw()["pitch"].tolist()
     (6, [0.1, 0.2, 0.3, 0.1, 0.2, 0.3])
@@ -304,6 +305,7 @@ def inertia_of(second_moments: ArrayLike) -> Array:
 
     Examples
     --------
+    >>> from lierb.sampling import inertia_of
     >>> inertia_of((1.0, 2.0, 3.0)).diagonal().tolist()
     [5.0, 4.0, 3.0]
     """

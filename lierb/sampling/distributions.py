@@ -36,6 +36,8 @@ class Constant(Distribution):
 
     Examples
     --------
+    >>> from lierb.sampling import Constant
+    >>> import numpy as np
     >>> Constant((0.0, 0.0, -9.81)).draw(np.empty((2, 0))).tolist()
     [[0.0, 0.0, -9.81], [0.0, 0.0, -9.81]]
     """
@@ -68,6 +70,7 @@ class Uniform(Distribution):
 
     Examples
     --------
+    >>> from lierb.sampling import Uniform
     >>> Uniform(1.0, (3.0, 5.0)).draw([[0.5, 0.25]]).tolist()
     [[2.0, 2.0]]
     """
@@ -105,6 +108,7 @@ class Direction(Distribution):
 
     Examples
     --------
+    >>> from lierb.sampling import Direction
     >>> Direction(2.0).draw([[0.5, 0.25]]).round(15).tolist()
     [[0.0, 2.0, 0.0]]
     """
@@ -149,6 +153,7 @@ class Rotation(Distribution):
 
     Examples
     --------
+    >>> from lierb.sampling import Rotation
     >>> Rotation().draw([[0.5, 0.0625, 0.9375]]).shape
     (1, 3, 3)
     """
@@ -185,6 +190,7 @@ class Values(Distribution):
 
     Examples
     --------
+    >>> from lierb.sampling import Values
     >>> Values([1.0, 2.0, 5.0]).draw([[0.1], [0.5], [0.9]]).tolist()
     [1.0, 2.0, 5.0]
     """

@@ -43,6 +43,7 @@ class Normal(Distribution):
 
     Examples
     --------
+    >>> from lierb.sampling import Normal
     >>> Normal((1.0, 2.0), 0.1).draw([[0.5, 0.5]]).tolist()
     [[1.0, 2.0]]
     >>> Normal(0.0, covariance=[[4.0, 2.0], [2.0, 1.0]]).dimension
@@ -140,6 +141,8 @@ class TruncatedNormal(Distribution):
 
     Examples
     --------
+    >>> from lierb.sampling import TruncatedNormal
+    >>> import numpy as np
     >>> tail = TruncatedNormal(0.0, 1.0, low=8.0, high=np.inf)
     >>> tail.draw([[0.5]]).round(4).tolist()
     [8.0849]
@@ -197,6 +200,7 @@ class LogNormal(Distribution):
 
     Examples
     --------
+    >>> from lierb.sampling import LogNormal
     >>> LogNormal(3.0, 0.2).draw([[0.5]]).tolist()
     [3.0]
     """

@@ -155,7 +155,7 @@ def _refuse_one(argument: str, value: Any) -> None:
 def _no_numbers(argument: str, value: Any) -> ArgumentError:
     hint = "; give a list" if isinstance(value, Iterable) and not isinstance(value, Sized) else ""
     if isinstance(value, str) and value.lower() in LETTERS:
-        hint = f"; give its components, {LETTERS[value.lower()]}"
+        hint = f"; a direction is given by components, such as {LETTERS[value.lower()]}"
     if isinstance(value, (Set, Mapping, ValuesView)):
         hint = ", which has no order; give a list"
     return ArgumentError(f"{argument} must be numbers, got {brief(value)}{hint}")

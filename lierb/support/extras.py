@@ -10,6 +10,8 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
+from lierb.errors import MissingExtraError
+
 EXTRAS = {
     "cli": ("The command line", ("click", "rich")),
     "mesh": ("Making a body of a mesh", ("trimesh",)),
@@ -23,10 +25,6 @@ EXTRAS = {
     "cluster": ("Running studies on a cluster", ("distributed",)),
 }
 DIRECT = "direct_url.json"  # origin of a distribution that is not from an index (PEP 610)
-
-
-class MissingExtraError(ImportError):
-    """A package of an optional part is not installed."""
 
 
 def is_installed(extra: str) -> bool:

@@ -13,6 +13,7 @@ from lierb.kernels.functions.shapes import Shape, UserFunction
 from lierb.support.arrays import as_floats
 
 MOST_NAME, MOST_UNIT = 100, 40  # largest numbers of characters
+LAMBDA = (lambda: None).__name__
 
 
 class Decorated:
@@ -41,7 +42,9 @@ class Decorated:
         )
         for name in parameters:
             if not takes_any and name not in self.defaults:
-                raise unknown_name("parameter", name, (*self.own, *self.defaults))
+                raise unknown_name(
+                    f"{self.function.__name__}: parameter", name, (*self.own, *self.defaults)
+                )
         shapes: dict[str, Shape] = {} if self.defaults else dict.fromkeys(sorted(parameters), ())
         return shapes | {name: as_floats(name, x).shape for name, x in self.defaults.items()}
 
@@ -75,7 +78,7 @@ def column_name(argument: str, name: Any) -> str:
     if not (isinstance(name, str) and name.isidentifier() and len(name) <= MOST_NAME):
         raise ArgumentError(
             f"{argument} is {brief(name)}; expected letters, digits and _, at most {MOST_NAME} of "
-            "them, for a column's name"
+            f"them, for a column's name{'; define the function by def' * (name == LAMBDA)}"
         )
     return name
 

@@ -166,6 +166,7 @@ class Joint(Represented):
         Examples
         --------
         >>> import lierb
+        >>> import numpy as np
         >>> lierb.joints.spherical(body_point=(1.0, 0.0, 0.0)).twist(omega=(0.0, 0.0, 2.0)).tolist()
         [0.0, 0.0, 2.0, 0.0, -2.0, 0.0]
         >>> plane = lierb.joints.planar()
@@ -237,6 +238,7 @@ class Joint(Represented):
         Examples
         --------
         >>> import lierb
+        >>> import numpy as np
         >>> plane = lierb.joints.planar()
         >>> turned = plane.pose((np.pi, 0.0, 0.0))
         >>> plane.velocities((0.0, 0.0, 0.0, 1.0, 0.0, 0.0), turned).round(9).tolist()

@@ -49,8 +49,8 @@ def assemblies_at(
     poses, chosen = closed_members(machine, before, t0)
     if not len(chosen):
         raise PoseError(
-            f"none of {starts} random starts comes to close; look at the links' lengths, or "
-            "whether the coordinates in hold are out of reach"
+            f"none of {starts} random starts leads to a closed pose; check the lengths of the "
+            "links, and whether the coordinates in hold are within reach"
         )
     poses = [pose[chosen] for pose in poses]
     _require_isolated(machine, poses)

@@ -127,7 +127,7 @@ def _require_name(what: str, name: Any) -> None:
     if not (isinstance(name, str) and name.isidentifier() and len(name) <= MOST_NAME):
         raise ArgumentError(
             f"{what} is named {brief(name)}; expected letters, digits and _, at most {MOST_NAME} "
-            "of them, for columns are named after it"
+            "of them, since columns are named after it"
         )
     if name == GROUND:
         raise ArgumentError(f'{what} is named "{GROUND}", the name of the fixed frame; rename it')

@@ -70,6 +70,7 @@ class Mechanism(TreeKinematics):
     Examples
     --------
     >>> import lierb
+    >>> import numpy as np
     >>> pin = dict(axis=(0.0, 1.0, 0.0), body_point=(0.0, 0.0, 0.25))
     >>> body = lierb.bodies.box((0.05, 0.05, 0.5), mass=1.0)
     >>> pendulum = lierb.Mechanism(

@@ -122,7 +122,9 @@ def why_unrolled(plan: MechanismPlan) -> str:
     reasons = {
         "links outside the reduced c-space": any(not n.is_reduced for n in plan.tree),
         "NUMBA_DISABLE_JIT": bool(numba.config.DISABLE_JIT),
-        "joints whose motions are no group": any(node.rows for node in plan.tree),
+        "joints whose motions are neither a group nor a product of two groups": any(
+            node.rows for node in plan.tree
+        ),
         "functions that are called body by body": plan.calls_functions,
         "functions of accelerations": any(e.feels for e in plan.elements),
         "added inertia": any(e.adds_inertia for e in plan.elements),

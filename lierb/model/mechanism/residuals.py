@@ -109,17 +109,15 @@ def no_convergence(
 
     s, values = max(zip(states, off, strict=True), key=largest)
     rows, freedoms = sum(len(each.at.rows) for each in states), 6 * len(system.mechanism.links)
-    far = "start nearer to a closed pose, or look at the links' lengths: they may not reach"
-    fit = (
-        f"{rows} rows on {freedoms} freedoms are closed only where lengths and axes fit each other"
-    )
-    why, fewer = far, "joints with fewer rows, such as spherical, ask for less"
+    far = "start nearer to a closed pose, or check the lengths: the links may not reach"
+    fit = f"{rows} rows act on {freedoms} freedoms, and close only where lengths and axes match"
+    why, fewer = far, "joints with fewer rows, such as spherical, do not need that"
     if rows >= freedoms:
         why = f"{far}; {fit}: {fewer}"
         if largest((s, values)) * START_TOLERANCE < NEARLY:
             why = f"{fit}, to {START_TOLERANCE:g}: give these numbers with more digits; {fewer}"
     residual = " and ".join(gap.text(member) for gap in _gaps(s, values))
     return (
-        f"{label} does not come to close in {NEWTON_STEPS} Newton steps: "
+        f"{label}: no closed pose is found in {NEWTON_STEPS} Newton steps; "
         f"{name_of(system.mechanism, s.at)} stays open by {residual}; {why}"
     )

@@ -108,7 +108,11 @@ def _message(error: Any, model: type[BaseModel], tables: dict[str, Any], given: 
     for python, toml in WORDS.items():
         what = re.sub(python, toml, what)
     if error["type"] == "extra_forbidden":
-        what = "unknown key" + suggestion(str(path[-1]), _fields_at(model, path[:-1]))
+        *table, name = path
+        known = _fields_at(model, tuple(table))
+        inner = [f"{each}.{name}" for each in known if name in _fields_at(model, (*table, each))]
+        hint = f"; did you mean {inner[0]}?" if inner else suggestion(str(name), known)
+        what = f"unknown key{hint}"
     elif error["type"] == "missing":
         what = "is missing"
     elif not isinstance(error["input"], dict):
