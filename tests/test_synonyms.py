@@ -142,7 +142,10 @@ SHAPES = {
     "inertia": (lambda: lierb.Body(1.0, (1, 1, 1, 0, 0, 0)), r"xx, xy, xz, yy, yz, zz in URDF"),
     "gravity": (lambda: lierb.Problem(BODY, BALL, gravity=-9.81), r"such as \(0, 0, -9\.81\)"),
     "gravity of links": (lambda: lierb.Mechanism(ARM.links, gravity=9.81), r"\(0, 0, -9\.81\)"),
-    "letter": (lambda: lierb.joints.revolute(axis="-Y"), r"got '-Y'; .* components, such as \(0, -1, 0\)"),
+    "letter": (
+        lambda: lierb.joints.revolute(axis="-Y"),
+        r"got '-Y'; .* components, such as \(0, -1, 0\)",
+    ),
     "function": (lambda: ARM.with_(events=lambda t: t), r"decorate it with @lierb\.event"),
     "functions": (lambda: ARM.with_(forces=[lambda t: t]), r"forces\[0\].*@lierb\.wrench"),
 }

@@ -68,6 +68,11 @@ class Uniform(Distribution):
     high : float or array_like, shape (d,)
         Upper bound, high ≥ low.
 
+    Raises
+    ------
+    ArgumentError
+        `high` is less than `low`, or a bound is not finite.
+
     Examples
     --------
     >>> from lierb.sampling import Uniform

@@ -41,6 +41,11 @@ class Normal(Distribution):
     covariance : array_like, shape (d, d), optional
         Covariance matrix, symmetric positive semi-definite, in place of `std`.
 
+    Raises
+    ------
+    ArgumentError
+        `std` is negative, `covariance` is not positive semi-definite, or both or neither are given.
+
     Examples
     --------
     >>> from lierb.sampling import Normal

@@ -121,6 +121,11 @@ def quaternion(R: Any) -> Any:
     ndarray, shape (…, 4)
         Unit quaternion.
 
+    Raises
+    ------
+    ValueError
+        R has the wrong shape, or is not real.
+
     Examples
     --------
     >>> import lierb

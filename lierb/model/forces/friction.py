@@ -69,6 +69,11 @@ def joint_friction(
     Force
         Element for `Problem(forces=…)`.
 
+    Raises
+    ------
+    ArgumentError
+        A parameter is negative, or `speed` is zero.
+
     Examples
     --------
     >>> import lierb
@@ -100,6 +105,11 @@ def slide_friction(
     -------
     Force
         Element for `Problem(forces=…)`.
+
+    Raises
+    ------
+    ArgumentError
+        A parameter is negative, or `speed` is zero.
 
     Examples
     --------

@@ -128,6 +128,11 @@ def joint_limit(
     Force
         Element for `Problem(forces=…)`.
 
+    Raises
+    ------
+    ArgumentError
+        `stiffness` or `damping` is negative, `lower` is above `upper`, or they are a turn apart.
+
     Examples
     --------
     >>> import lierb
@@ -162,6 +167,11 @@ def slide_limit(
     -------
     Force
         Element for `Problem(forces=…)`.
+
+    Raises
+    ------
+    ArgumentError
+        `stiffness` or `damping` is negative, or `lower` is above `upper`.
 
     Examples
     --------

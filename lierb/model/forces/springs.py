@@ -108,6 +108,11 @@ def spring_damper(
     Force
         Element for `Problem(forces=…)`.
 
+    Raises
+    ------
+    ArgumentError
+        `stiffness` or `damping` is negative, or an argument has the wrong shape.
+
     Examples
     --------
     >>> import lierb
@@ -193,6 +198,11 @@ def torsional_spring(
     Force
         Element for `Problem(forces=…)`.
 
+    Raises
+    ------
+    ArgumentError
+        `stiffness` or `damping` is negative, or an argument has the wrong shape.
+
     Examples
     --------
     >>> import lierb
@@ -234,6 +244,11 @@ def slide_spring(
     -------
     Force
         Element for `Problem(forces=…)`.
+
+    Raises
+    ------
+    ArgumentError
+        `stiffness` or `damping` is negative, or an argument has the wrong shape.
 
     Examples
     --------

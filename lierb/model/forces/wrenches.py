@@ -103,6 +103,11 @@ def constant_wrench(
     Force
         Element for `Problem(forces=…)`.
 
+    Raises
+    ------
+    ArgumentError
+        An argument has the wrong shape, or is not finite.
+
     Examples
     --------
     >>> import lierb
@@ -167,6 +172,11 @@ def drag(
     -------
     Force
         Element for `Problem(forces=…)`.
+
+    Raises
+    ------
+    ArgumentError
+        A coefficient is negative, or an argument has the wrong shape.
 
     Examples
     --------

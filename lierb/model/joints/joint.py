@@ -163,6 +163,11 @@ class Joint(Represented):
             twist need not satisfy the joint. From rates, the twist satisfies it; `velocities` is
             the inverse.
 
+        Raises
+        ------
+        ArgumentError
+            Arguments exclude each other, or have the wrong shape.
+
         Examples
         --------
         >>> import lierb

@@ -35,6 +35,11 @@ class Link(Represented):
     parent : str, optional
         Name of another link, or "ground".
 
+    Raises
+    ------
+    ArgumentError
+        The name is no identifier, or the body or joint is of another kind.
+
     Examples
     --------
     >>> import lierb
