@@ -238,6 +238,26 @@ def test_methods_with_constraints_satisfy_every_joint(method, name, cspace):
 
 
 @pytest.mark.parametrize("cspace", CSPACES)
+@pytest.mark.parametrize("method", WITH_CONSTRAINTS)
+def test_steps_do_not_depend_on_the_unit_of_length(method, cspace):
+    """Powers of two leave all digits alone where no sum mixes units: rounding of five steps."""
+    ends = []
+    for unit in (1.0, 2.0**-20, 2.0**7):
+        size = box()
+        body = lierb.Body(size.mass, size.inertia * unit**2)
+        held = lierb.joints.spherical(body_point=np.multiply(unit, ref.BOX_POINT))
+        problem = lierb.Problem(body, held, np.multiply(unit, GRAVITY))
+        moving = Stepper(problem, held.twist(omega=ref.BOX_SPHERICAL_OMEGA_0), method, cspace)
+        for _ in range(5):
+            moving.step()
+        (q, d), velocity = moving.system.motion(moving.body, moving.state, moving.t)[:2]
+        lengths = np.divide([*floats(d, velocity[3:])], unit)
+        ends.append(np.concatenate([*floats(q, velocity[:3]), *lengths]))
+    for end in ends[1:]:
+        np.testing.assert_allclose(end, ends[0], atol=1e-12)
+
+
+@pytest.mark.parametrize("cspace", CSPACES)
 @pytest.mark.parametrize("name", lierb.joints.JOINTS)
 def test_smooth_residuals_have_the_gradient_j(name, cspace):
     """Central differences of h along random twists, with errors of 1e-6²."""

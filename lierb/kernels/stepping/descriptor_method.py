@@ -3,7 +3,7 @@
 Index 3 has constraints of the position alone, the stabilised index 2 also those of the velocity,
 and unknowns η for them. A method says how the end depends on V̇₁, by numbers x, x′, v and v′:
 
-    C₁ = C₀ exp(x + x′ (V̇₁ − J₀ᵀη)),   V₁ = v + v′ V̇₁,
+    C₁ = C₀ exp(x + x′ (V̇₁ − M⁻¹J₀ᵀη)),   V₁ = v + v′ V̇₁,
     M V̇₁ + J₁ᵀλ₁ = ad_V₁ᵀ M V₁ + W₁,   h(C₁, t₁) = 0,   and with index 2 J₁ V₁ = w(t₁).
 
 A step passes V̇, numbers of the method's own and λ on to the next one. The iteration begins with V̇
@@ -58,12 +58,13 @@ class DescriptorMethod(UnestimatedMethod):
         to_x, to_v = predicted.to_x, predicted.to_v
         before = form.constraints(state.chart, at.time)
         dependent = form.dependent(before)
+        pulls = form.per_mass(before) if self.is_stabilised else before
 
         def end(unknowns: Vec) -> tuple[Vec, Any, Vec]:
             """Return X, C₁ and V₁."""
             x = axpy(to_x, unknowns[:n], predicted.x)
-            if self.is_stabilised:  # η in units in which its column is as large as that of λ
-                x = sub(x, scale(to_x, before.force(unknowns[n + m :])))
+            if self.is_stabilised:
+                x = sub(x, scale(to_x, pulls.force(unknowns[n + m :])))
             return x, form.moved(state.chart, x), axpy(to_v, unknowns[:n], predicted.velocity)
 
         def residual(unknowns: Vec) -> Vec:

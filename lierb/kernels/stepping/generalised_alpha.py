@@ -3,7 +3,10 @@
 The end of a step, which `lierb.kernels.stepping.descriptor_method` solves for V̇₁, λ₁ and η, is
 
     (1 − α_m) a₁ + α_m a₀ = (1 − α_f) V̇₁ + α_f V̇₀,
-    C₁ = C₀ exp(h V₀ + h² ((½ − β) a₀ + β a₁) − J₀ᵀη),   V₁ = V₀ + h ((1 − γ) a₀ + γ a₁).
+    C₁ = C₀ exp(h V₀ + h² ((½ − β) a₀ + β a₁) − M⁻¹J₀ᵀη),   V₁ = V₀ + h ((1 − γ) a₀ + γ a₁).
+
+The published method has J₀ᵀη, which adds radians and metres: its motion depends on the unit of
+length. M⁻¹J₀ᵀη is the correction in the kinetic-energy metric, and has the same order.
 
 A step passes V̇, a and λ on to the next one. a approximates V̇ at t + (α_m − α_f) h, and so it must
 at the start: with a₀ = V̇₀ the velocity would have an error of h² after the first step, not of h³.

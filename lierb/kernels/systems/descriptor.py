@@ -164,6 +164,11 @@ class Descriptor:
         """Return the columns of M, which is symmetric."""
         return tuple(self.momentum(unit) for unit in units(self.width))
 
+    def per_mass(self, constraints: Constraints) -> Constraints:
+        """Return the constraints with J M⁻¹ in place of J."""
+        mass = Factored([list(column) for column in self.mass_matrix()])
+        return constraints._replace(jacobian=tuple(map(mass.solve, constraints.jacobian)))
+
     def consistent(self, constraints: Constraints, dependent: Vec) -> Factored:
         """Factor [[M, Jᵀ], [J, 0]] without the rows that are `dependent`."""
         rows, m = constraints.jacobian, len(constraints.jacobian)
