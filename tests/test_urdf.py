@@ -431,6 +431,29 @@ def test_from_urdf_refuses_what_is_no_robot(tmp_path, text, message):
         read(path)
 
 
+def test_from_urdf_turns_by_quaternions(tmp_path):
+    """As by the angles of the same rotation, in joints and inertias; a factor has no effect."""
+    angles, made = (0.3, -0.4, 0.5), []
+    turn = Rotation.from_euler("xyz", angles).as_quat()
+    numbers = " ".join(repr(float(3.0 * x)) for x in turn)
+    for given in ('rpy="{} {} {}"'.format(*angles), f'quat_xyzw="{numbers}"'):
+        at = f'<origin xyz="1 2 3" {given}/>'
+        arm = inertial().replace(origin((0, 0, 0), (0, 0, 0)), at)
+        mechanism, left_out = read(pair(tmp_path, at, child=arm))
+        assert not left_out
+        made.append((mechanism.pose()["arm"], np.squeeze(mechanism.link("arm").body.inertia)))
+    for by_angles, by_quaternion in zip(*made, strict=True):
+        np.testing.assert_allclose(by_quaternion, by_angles, atol=1e-14)  # rounding
+
+
+@pytest.mark.parametrize(
+    "given", ['quat_xyzw="0 0 0 0"', 'quat_xyzw="0 0 1"', 'rpy="0 0 0" quat_xyzw="0 0 0 1"']
+)
+def test_from_urdf_refuses_other_quaternions(tmp_path, given):
+    with pytest.raises(ArgumentError, match=r"joint hinge: <origin.*quat"):
+        read(pair(tmp_path, f"<origin {given}/>"))
+
+
 # ---- limits, and what is left out --------------------------------------------------------------
 
 
@@ -498,6 +521,11 @@ LINES = {
     "floating": ({"kind": "floating", "inside": '<dynamics damping="2"/>'},
         "joint hinge: damping 2 and friction 0",
     ),
+    "attribute": ({"inside": '<limit lowr="-1" uper="1"/>'}, "1 attribute lowr of <limit>"),
+    "attributes": ({"inside": '<origin rpyy="1 0 0"/>',
+        "child": inertial().replace("<mass", '<mass unit="g"')}, "1 attribute rpyy of <origin>",
+    ),
+    "within inertial": ({"child": inertial().replace("<mass", "<orign/><mass")}, "1 orign element"),
     "gravity": ({"around": '<mujoco><option gravity="0 0 -1"/></mujoco>'},
         "gravity, which is an argument",
     ),

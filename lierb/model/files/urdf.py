@@ -27,11 +27,23 @@ TYPES = ("revolute", "continuous", "prismatic", "fixed", "floating", "planar", "
 SCALAR = ("revolute", "continuous", "prismatic")  # joints with one coordinate
 SHORT = 1e-10  # least length of an axis, as in MuJoCo
 MOMENTS = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")  # in the order of MuJoCo's fullinertia
-READ = {  # elements that are read, or that do not affect the motion
-    "robot": {"link", "joint", "material", "mujoco"},
-    "link": {"inertial", "visual", "collision"},
-    "joint": {"parent", "child", "origin", "axis", "limit", "dynamics", "mimic"},
-}
+READ = {  # elements within an element and its attributes: read, or without effect on the motion
+    "robot": ({"link", "joint", "material", "mujoco"}, {"name", "version"}),
+    "link": ({"inertial", "visual", "collision"}, {"name"}),
+    "inertial": ({"origin", "mass", "inertia"}, set[str]()),
+    "mass": (set[str](), {"value"}),
+    "inertia": (set[str](), {*MOMENTS}),
+    "joint": (
+        {"parent", "child", "origin", "axis", "limit", "dynamics", "mimic"}, {"name", "type"},
+    ),
+    "parent": (set[str](), {"link"}),
+    "child": (set[str](), {"link"}),
+    "origin": (set[str](), {"xyz", "rpy", "quat_xyzw"}),
+    "axis": (set[str](), {"xyz"}),
+    "limit": (set[str](), {"lower", "upper", "effort", "velocity"}),
+    "dynamics": (set[str](), {"damping", "friction"}),
+    "mimic": (set[str](), {"joint", "multiplier", "offset"}),
+}  # fmt: skip
 
 
 @dataclass
@@ -254,12 +266,21 @@ def _inertial(label: str, link: Element) -> dict[str, Any]:
 
 
 def _origin(element: Element, label: str) -> tuple[Array, Array]:
-    """Return position and quaternion of an element's <origin>; rpy rotate about fixed x, y, z."""
+    """Return position and quaternion of an element's <origin>.
+
+    Angles rpy are about fixed x, y, z; a quaternion takes their place (URDF 1.1).
+    """
     from mujoco import mju_euler2Quat
 
     origin, quaternion = _only(element, "origin", label), np.empty(4)
-    mju_euler2Quat(quaternion, _numbers(origin, "rpy", 3, label, (0.0, 0.0, 0.0)), "XYZ")
-    return _numbers(origin, "xyz", 3, label, (0.0, 0.0, 0.0)), quaternion
+    position = _numbers(origin, "xyz", 3, label, (0.0, 0.0, 0.0))
+    if origin is None or "quat_xyzw" not in origin.attrib:
+        mju_euler2Quat(quaternion, _numbers(origin, "rpy", 3, label, (0.0, 0.0, 0.0)), "XYZ")
+        return position, quaternion
+    given = _numbers(origin, "quat_xyzw", 4, label)
+    if "rpy" in origin.attrib or np.linalg.norm(given) < SHORT:
+        raise ArgumentError(f"{label}: <origin> has rpy and quat_xyzw, or a quaternion of zeros")
+    return position, np.roll(given, 1) / np.linalg.norm(given)
 
 
 def _across(axis: Array) -> tuple[Array, Array]:
@@ -325,10 +346,25 @@ def _lacking(root: Element, links: dict[str, Element], joints: dict[str, Element
     )
     if bounded:
         yield f"limits of effort and velocity of {counted(bounded, 'joint')}"
-    unread = Counter(
-        element.tag.rpartition("/")[2].replace("}", ":")  # last part of a name space
-        for parent in (root, *links.values(), *joints.values())
-        for element in parent
-        if element.tag not in READ[parent.tag]
-    )
-    yield from (counted(count, f"{tag} element") for tag, count in unread.items())
+    for words, count in Counter(_unread(root)).items():
+        yield counted(count, *words)
+
+
+def _unread(element: Element) -> Iterator[tuple[str, str]]:
+    """Yield each element and attribute that is not read, in singular and plural."""
+    elements, attributes = READ[element.tag]
+    for name in element.attrib:
+        if name not in attributes:
+            what = f"{_short(name)} of <{element.tag}>"
+            yield f"attribute {what}", f"attributes {what}"
+    for child in element:
+        if child.tag not in elements:
+            what = f"{_short(child.tag)} element"
+            yield what, f"{what}s"
+        elif child.tag in READ:
+            yield from _unread(child)
+
+
+def _short(name: str) -> str:
+    """Return a name with the last part of its name space."""
+    return name.rpartition("/")[2].replace("}", ":")
