@@ -302,9 +302,8 @@ def test_any_damage_of_a_manifest_is_told(tmp_path, damages):
     told = 0
     for _ in range(damages * 10):
         path.write_bytes(damaged(content, rng) if rng.random() < 0.5 else edited(content, rng))
-        dataset = Dataset(tmp_path)
         try:
-            dataset.read()
+            dataset = Dataset(tmp_path)
         except StudyError as error:
             assert "\n" not in str(error)  # noqa: PT017
             assert "manifest" in str(error)  # noqa: PT017

@@ -70,7 +70,7 @@ def labels(given, **columns) -> list[str]:
         f"sample.{name.replace('__', '.')}": np.zeros((3, width) if width else 3)
         for name, (_, width) in columns.items()
     }
-    return [label for label, _ in symbols.labelled(named, rows, given)]
+    return [*symbols.labelled(named, [rows], given)[0]]
 
 
 def test_sampled_numbers_are_labelled_by_symbols(given):

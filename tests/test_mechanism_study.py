@@ -436,7 +436,7 @@ def test_units_and_symbols_of_a_mechanism(whole):
     assert units["sample.pin.joint.parent_point"] == "m"
     study = Study.load(whole / "study.toml")
     rows = {f"sample.{name}": values for name, values in study.batch(0, 4).draws.items()}
-    labels = [label for label, _ in labelled(units, rows, study)]
+    labels = [*labelled(units, [rows], study)[0]]
     assert labels == [
         "crank: φ̇ [rad/s]", "crank: body point₁ [m]", "drag: angular [N m s]",
         "pin: parent point₁ [m]",

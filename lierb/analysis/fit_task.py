@@ -44,6 +44,15 @@ class Task:
         result = self.runs.result(self.variation.base, self.variation.parameters)
         if failures := Failures.of(result.summary):
             raise ArgumentError(f"the run of the guess fails, {failures}; give a better guess")
+        if not np.isfinite(self.weighted(result)).all():
+            ends = result.summary.to_pylist()
+            early = [
+                f"; an event ends it at t = {x['t']:g} s" for x in ends if x["status"] == "event"
+            ]
+            raise ArgumentError(
+                "the run of the guess is not finite at all times of the data"
+                f"{early[0] if early else ''}; give a better guess"
+            )
         return result
 
     @cached_property
@@ -56,8 +65,20 @@ class Task:
 
     @cached_property
     def slope(self) -> Array:
-        """Return the derivatives of the weighted residuals by the unknowns at the base."""
-        return self.by_unknowns(self.at_base, self.unknowns.changes(self.unknowns.base))
+        """Return the derivatives of the weighted residuals by the unknowns at the base.
+
+        Raises ArgumentError if they are not finite.
+        """
+        slope = self.by_unknowns(self.at_base, self.unknowns.changes(self.unknowns.base))
+        if (lost := np.flatnonzero(~np.isfinite(slope).all(axis=0))).size:
+            first, unknowns = int(lost[0]), self.unknowns
+            is_shared = first < unknowns.shared
+            label = unknowns.labels[unknowns.follow.free[first]] if is_shared else "the start"
+            raise ArgumentError(
+                f"derivatives of the run of the guess by {label} are not finite: a force or "
+                "function has none at its start or along its motion"
+            )
+        return slope
 
     @cached_property
     def told(self) -> Identified:

@@ -77,7 +77,7 @@ def propagate(
     monte_carlo : int, optional
         Number of runs in the sample, at least 10.
     seed : int, optional
-        Seed of the sample.
+        Seed of the sample. All its members have the noise of controllers of the nominal run.
     **options : object
         Options of `integrate`, such as dt, rtol, method, cspace and threads. Default: rtol=1e-9.
 
@@ -254,7 +254,7 @@ def _units(sigma: Array) -> Array:
 
 
 def _sample(variation: Variation, runs: Runs, sigma: Array, count: int, seed: int) -> Result:
-    """Integrate a sample of the Gaussian as one batch."""
+    """Integrate a sample of the Gaussian as one batch, with the noise of the nominal run."""
     units = _units(sigma)
     values, vectors = np.linalg.eigh(sigma / np.outer(units, units))
     half = units[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
@@ -265,7 +265,9 @@ def _sample(variation: Variation, runs: Runs, sigma: Array, count: int, seed: in
         varied = variation.at(changes)
     except LierbError as error:
         raise type(error)(f"a member of the sample cannot be made: {error}") from None
-    return runs.result(varied)
+    (number,) = np.atleast_1d(runs.keywords.get("trajectories") or 0)
+    own = runs.keywords | {"trajectories": np.full(count, number)}
+    return runs._replace(keywords=own).result(varied)
 
 
 def _moments(quantity: Quantity, nominal: Array, values: Array) -> tuple[Array, Array]:

@@ -198,6 +198,8 @@ class Experiments:
             k = int(failed[group].argmax()) + group.start
             where = f"trajectory {k - group.start} of the experiment" if self.count > 1 else "run"
             reasons[i] = f"the {where} ends as {names[codes[k]]} at t = {t[k]:g} s"
+            if names[codes[k]] == "ok":
+                reasons[i] = f"the {where} has numbers or derivatives that are not finite"
         return reasons
 
     # ---- derivatives ---------------------------------------------------------------------------

@@ -248,9 +248,7 @@ def _results_in(folder: Path) -> Dataset:
     require("study")
     from lierb.studies.dataset import Dataset
 
-    dataset = Dataset(folder)
-    dataset.read()
-    return dataset
+    return Dataset(folder)
 
 
 @click.command()

@@ -23,6 +23,7 @@ study.toml is written again. Other files in the folder are not touched.
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Self
 
@@ -117,10 +118,15 @@ class Dataset(Results):
         The folder has no results of a study.
     """
 
+    def __init__(self, folder: str | os.PathLike[str]) -> None:
+        super().__init__(folder)
+        self.read()
+
     @classmethod
     def of(cls, results: Results) -> Self:
         """Make a dataset from results that have been read."""
-        dataset = cls(results.folder)
+        dataset = cls.__new__(cls)
+        Results.__init__(dataset, results.folder)
         dataset.manifest, dataset._whole = results.manifest, results._whole
         return dataset
 

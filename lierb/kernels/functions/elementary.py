@@ -101,6 +101,12 @@ def _sine_or_cosine(name: str, x: Any) -> Any:
     )
 
 
+def _slope_of_root(x: Any, y: Any) -> Any:
+    """Return the slope of y = √x; 0 at zero, as `Dual.sqrt`: ‖v‖v has its derivative there."""
+    is_zero_there = raw(y) == 0.0
+    return choice(is_zero_there, 0.0, 0.5 / choice(is_zero_there, 1.0, y))
+
+
 sin: Callable[[Any], Any] = smooth("sin", lambda x: _sine(x)[0], lambda x, y: cos(x))
 cos: Callable[[Any], Any] = smooth("cos", lambda x: _cosine(x)[0], lambda x, y: -sin(x))
 tan = smooth("tan", partial(_library, "tan"), lambda x, y: 1.0 + y * y)
@@ -108,7 +114,7 @@ exp = smooth("exp", partial(_library, "exp"), lambda x, y: y)
 expm1 = smooth("expm1", partial(_library, "expm1"), lambda x, y: exp(x))
 log = smooth("log", partial(_library, "log"), lambda x, y: 1.0 / x)
 log1p = smooth("log1p", partial(_library, "log1p"), lambda x, y: 1.0 / (1.0 + x))
-sqrt = smooth("sqrt", root, lambda x, y: 0.5 / y)
+sqrt = smooth("sqrt", root, _slope_of_root)
 sinh: Callable[[Any], Any] = smooth("sinh", partial(_library, "sinh"), lambda x, y: cosh(x))
 cosh: Callable[[Any], Any] = smooth("cosh", partial(_library, "cosh"), lambda x, y: sinh(x))
 tanh = smooth("tanh", partial(_library, "tanh"), lambda x, y: 1.0 / (cosh(x) * cosh(x)))

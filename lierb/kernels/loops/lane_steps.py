@@ -96,7 +96,7 @@ def next_trial(plan: AnyPlan, body: Any, lanes: Lanes, stop: Any, active: Any) -
     if plan.is_adaptive:
         longest = longest_step(plan, body, state, state, clock.t, clock.h, clock.h)
         if longest is not None:
-            clock = clock._replace(h=minimum(clock.h, longest))
+            clock = clock._replace(h=minimum(clock.h, longest.step))
     return trial_of(plan, clock, stop, active)
 
 
@@ -153,7 +153,7 @@ def attempted(plan: AnyPlan, body: Any, lanes: Lanes, trial: Trial, limits: Tole
             at_end = method_of(plan).extrapolated(system_of(plan), before, seen.slopes, trial.h)
             wanted = lanes.clock.h
             longest = longest_step(plan, body, before, at_end, trial.start, trial.h, wanted)
-            nearer = ZERO if longest is None else longest
+            nearer = ZERO if longest is None else longest.step
     slopes = made.slopes if plan.is_continuous else ()
     moved = with_all_parts(plan, made.state)
     singular, unsolved, turns = values(made.singular), made.unsolved, made.turns

@@ -7,29 +7,50 @@ from typing import Any, NamedTuple
 from lierb.kernels.numbers.arithmetic import (
     absolute,
     fma,
+    minimum,
     sqrt,
     where,
 )
 from lierb.kernels.numbers.number import Number
 
-BEFORE = 1.0 - 1e-12  # part of the distance to a kink at which a step ends
+# Part of the distance to a kink at which a step ends: its last stages are off by the stage's error,
+# and one that is beyond the kink has other derivatives. The next step covers most of the rest.
+BEFORE = 0.999
+LOOSE = 1.1  # factor by which a step may exceed a bound by a velocity, which changes in it
+TIGHT = 1.0005  # the same for a kink, which would be within the step
+NEWTON_STEPS = 3
+NEAR = 1.5  # part of a step up to which its cubic is used
 
 
 class Bound(NamedTuple):
-    """Bound h · rate ≤ distance on the length h of a step; rate ≥ 0, distance > 0."""
+    """Bound h · rate ≤ distance on the length h of a step; rate ≥ 0, distance > 0.
+
+    slack : factor by which a step that has been made may exceed it.
+    """
 
     rate: Number
     distance: Number
+    slack: Number = LOOSE
 
 
-def travel_to_kink(place: Any, start: Any, end: Any, h: Any, kinks: tuple[Any, ...]) -> Bound:
+class Travelled(NamedTuple):
+    """The end of a step that has been tried: change of a coordinate, and its rate there."""
+
+    change: Number
+    rate: Number
+
+
+def travel_to_kink(
+    place: Any, rate: Any, tried: Travelled | None, h: Any, kinks: tuple[Any, ...]
+) -> Bound:
     """Bound that ends a step just before the next kink of a force.
 
-    All stages of the step are then on one side of the kink. Its time is that of a motion whose
-    rate changes uniformly from start to end of a step.
+    All stages of the step are then on one side of the kink. Before a step is tried, the kink's time
+    is that of a uniform motion. Afterwards it is that of the cubic with the places and rates of
+    both ends; a shorter step, to this time, has a better one.
 
-    place : coordinate at the start, relative to the middle of the kinks.
-    start, end : its rate at both ends of a step of length h, s.
+    place, rate : coordinate at the start, relative to the middle of the kinks, and its rate.
+    tried : the end of a step of length h, s; None before it is tried.
     kinks : coordinates ahead in the positive direction, ascending; their negatives are those in the
         other one. The last one is greater than any coordinate.
     """
@@ -41,14 +62,33 @@ def travel_to_kink(place: Any, start: Any, end: Any, h: Any, kinks: tuple[Any, .
             distance = where(kink > ahead, kink - ahead, distance)
         return distance
 
-    forward = where(start == 0.0, end, start) >= 0.0
-    ahead, speed = where(forward, place, -place), absolute(start)
-    gain = where(forward, end - start, start - end) / where(h > 0.0, h, 1.0)
-    # The distance d is passed in τ, d = speed τ + gain τ²/2; the mean speed until then is d/τ.
+    if tried is None:
+        ahead = where(rate >= 0.0, place, -place)
+        return Bound(absolute(rate), BEFORE * distance_to_kink(ahead))
+    h, forward = where(h > 0.0, h, 1.0), where(rate == 0.0, tried.rate, rate) >= 0.0
+    ahead, change = where(forward, place, -place), where(forward, tried.change, -tried.change)
+    speed, end = absolute(rate), where(forward, tried.rate, -tried.rate)
     distance, behind = distance_to_kink(ahead), distance_to_kink(-ahead)
+    # With uniform acceleration d is passed in τ, d = speed τ + gain τ²/2; d/τ is the mean speed.
+    gain = (end - speed) / h
     square = fma(2.0 * gain, distance, speed * speed)
-    reaches = square >= 0.0  # else it turns back before
-    root = sqrt(where(reaches, square, fma(-2.0 * gain, behind, speed * speed)))
+    reaches = where(change >= distance, 1.0, where(change <= -behind, -1.0, square)) >= 0.0
+    root = sqrt(where(reaches, absolute(square), fma(-2.0 * gain, behind, speed * speed)))
     back = root + speed
     mean = where(reaches, 0.5 * back, -gain * behind / where(back > 0.0, back, 1.0))
-    return Bound(mean, BEFORE * where(reaches, distance, behind))
+    nearest = where(reaches, distance, behind)
+    is_reached = mean > 0.0
+    part = nearest / where(is_reached, mean * h, 1.0)  # of the step
+    is_passed = (change >= distance) | (change <= -behind)
+    first, final = h * speed, h * end
+    cubic, bend = first + final - 2.0 * change, 3.0 * change - 2.0 * first - final
+    better = where(is_passed, minimum(part, 1.0), part)
+    for _ in range(NEWTON_STEPS):
+        found = fma(better, fma(better, fma(better, cubic, bend), first), -nearest)
+        found = where(reaches, found, found + 2.0 * nearest)
+        slope = fma(better, fma(3.0 * better, cubic, 2.0 * bend), first)
+        better = better - found / where(slope == 0.0, 1.0, slope)
+    is_better = is_reached & (better > 0.0) & (better <= NEAR) & (absolute(part) <= NEAR)
+    time = h * where(is_better, better, part)
+    rate = where(is_reached, nearest / where(is_reached, time, 1.0), 0.0)
+    return Bound(rate, BEFORE * nearest, TIGHT)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
+from lierb.kernels.mechanics.kinks import LOOSE
 from lierb.kernels.numbers.arithmetic import (
     absolute,
     all_lanes,
@@ -43,7 +44,6 @@ from lierb.kernels.systems.state import (
 from lierb.kernels.tracing import calls
 
 INF = float("inf")
-PASSED = 1.1  # factor by which a step may exceed `longest`, since velocities change in it
 NEARLY = 1e-9  # fraction of a step: a shorter remainder of the run is added to the step
 
 
@@ -208,7 +208,7 @@ def judged(
     singular, unsolved : 1 where a step that cannot be shortened fails with SINGULAR, with
         NO_CONVERGENCE.
     square : square of the error.
-    longest : longest step that elements allow at the velocity at its end, s; None for any.
+    longest : longest step that elements allow by the motion at its end; None for any.
     nearer : the same by the rates at its start, which a failed step does not spoil;
         structurally zero if it is unknown.
     """
@@ -226,14 +226,14 @@ def judged(
     meets = fine & (square <= 1.0) & (trial.end > trial.start)  # false for NaN
     is_exact = meets
     if longest is not None:
-        meets = meets & (trial.h <= PASSED * longest)
+        meets = meets & (trial.h <= longest.made)
     accepted = running & meets & ~raised
     by = change(plan, where(fine & (square == square), square, INF), clock.before, meets)
     grown = trial.h * by.factor
     if longest is not None:
-        shorter = where(is_exact, longest, minimum(grown, longest))
+        shorter = where(is_exact, longest.step, minimum(grown, longest.step))
         if not is_zero(nearer):
-            shorter = where(trial.h > PASSED * nearer, nearer, shorter)
+            shorter = where(trial.h > LOOSE * nearer, nearer, shorter)
         grown = where(meets, grown, shorter)
     # A step that was cut short does not determine the length of a full one.
     longer = where(trial.h < 0.5 * clock.h, maximum(grown, clock.h), grown)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 from lierb.kernels.mechanics.passive_elements import UserEvent
 from lierb.kernels.numbers.arithmetic import absolute, floor, maximum, minimum, where
@@ -17,10 +17,17 @@ LEAST_OF_STEP = 1e-6  # least bound, a fraction of a step, so that the next step
 MOST_PARTS = 32  # largest number of parts of a step, each searched for events
 
 
+class Longest(NamedTuple):
+    """The longest step, s, and the longest that is accepted if it has been made."""
+
+    step: Any
+    made: Any
+
+
 def longest_step(
     plan: AnyPlan, body: Any, state: State, moved: State, time: Any, h: Any, wanted: Any
-) -> Any:
-    """Return the longest step from `state`, s, that does not pass over a region in which an element
+) -> Longest | None:
+    """Return the longest step from `state` that does not pass over a region in which an element
     acts; None if no element bounds it.
 
     moved : `state` before the step is tried, its end afterwards.   h : length of the step, s.
@@ -33,15 +40,17 @@ def longest_step(
     if state.states:
         body = body._replace(signals=body.signals._replace(states=state.states))
     start = system.motion(body, state, time)
-    end = system.motion(body, moved, time, is_next=moved is not state)
+    end = start if moved is state else system.motion(body, moved, time, is_next=True)
     least = maximum(LEAST_OF_STEP * wanted, 4.0 * LEAST_ULPS * EPS * absolute(time))
-    longest: Any = INF
+    longest = Longest(INF, INF)
     for watched, parts in ((None, 1.0), (UserEvent, float(MOST_PARTS))):
-        for rate, distance in system.travel(body, start, end, time, h, watched):
+        for rate, distance, slack in system.travel(body, start, end, time, h, watched):
             if not is_zero(rate):
                 moves = rate > 0.0
                 bound = maximum(parts * distance / where(moves, rate, 1.0), least)
-                longest = minimum(longest, where(moves, bound, INF))
+                bound = where(moves, bound, INF)
+                made = minimum(longest.made, slack * bound)
+                longest = Longest(minimum(longest.step, bound), made)
     return longest
 
 
@@ -57,7 +66,7 @@ def parts_to_watch(
     end = system.motion(body, moved, trial.start, is_next=True)
     fastest: Any = 0.0 * trial.h
     for at in (start, end):
-        for rate, distance in system.travel(body, start, at, trial.start, trial.h, watched):
+        for rate, distance, _ in system.travel(body, start, at, trial.start, trial.h, watched):
             if not is_zero(rate):
                 fastest = maximum(fastest, rate / distance)
     return minimum(floor(trial.h * fastest) + 1.0, float(most))

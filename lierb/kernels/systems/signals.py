@@ -123,17 +123,15 @@ class PassiveElements:
     ) -> tuple[Bound, ...]:
         """Bounds on a step's length; on that of its parts for elements of the class `watched`.
 
-        start, end : motions at the ends of a step, of length h, s.
+        start, end : motions at the ends of a step, of length h, s; one before it is tried.
         """
-        size = sqrt(body.girth)
+        size, bounds = sqrt(body.girth), list[Bound]()
         before, after = (self.motions(body, motion, time) for motion in (start, end))
-        pairs = enumerate(zip(self.plan.elements, body.elements, strict=True))
-        return tuple(
-            bound
-            for i, (e, own) in pairs
-            if (isinstance(e, watched) if watched else e.bounds_steps)
-            for bound in e.travel(own, before(i), after(i), h, size)
-        )
+        for i, (e, own) in enumerate(zip(self.plan.elements, body.elements, strict=True)):
+            if isinstance(e, watched) if watched else e.bounds_steps:
+                first = before(i)
+                bounds += e.travel(own, first, first if end is start else after(i), h, size)
+        return tuple(bounds)
 
     def jumps(self, body: Any) -> tuple[Any, ...]:
         """Times at which elements may jump, s."""

@@ -126,24 +126,23 @@ class LoopMotions(LoopRows):
         listed = [e for e in self.plan.elements if e.is_listed]
         first, size = len(self.plan.elements) - len(listed), sqrt(body.girth)
         before, after = (self.motions(body, motion, time) for motion in (start, end))
-        bounds = tuple(
-            bound
-            for i, e in enumerate(listed, first)
-            if (isinstance(e, watched) if watched else e.bounds_steps)
-            for bound in e.travel(body.elements[i], before(i), after(i), h, size)
-        )
+        bounds = list[Bound]()
+        for i, e in enumerate(listed, first):
+            if isinstance(e, watched) if watched else e.bounds_steps:
+                begin = before(i)
+                last = begin if end is start else after(i)
+                bounds += e.travel(body.elements[i], begin, last, h, size)
         if watched or not any(kind.element.bounds_steps for kind in self.plan.element_kinds):
-            return bounds
-        tree, steps = self._tree(body), (start.is_next, end.is_next)
-        is_kept = steps[0] is not steps[1]
+            return tuple(bounds)
+        tree, is_kept = self._tree(body), end is not start
         best = tree.section(at.SUMS_ROW)
-        best.put(0, INF)
-        self._see(tree, steps[0])
+        best.put(0, INF, INF)
+        self._see(tree, start.is_next)
         if is_kept:
             tree.for_elements(_keep_motion)
-            self._see(tree, steps[1])
+            self._see(tree, end.is_next)
         tree.for_elements(partial(_bound, best, h, size, body.signals, is_kept))
-        return (*bounds, Bound(1.0, best[0]))
+        return (*bounds, Bound(1.0, best[0], INF), Bound(1.0, best[1], 1.0))
 
 
 def _bounding(do: Callable[[ElementKind], None], kind: ElementKind) -> None:
@@ -168,21 +167,21 @@ def _keep_motion(element: MemoryElement) -> None:
 def _bound(
     best: Rows, h: Any, size: Any, signals: Signals, is_kept: bool, element: MemoryElement
 ) -> None:
-    """Lower the longest step by an element's bounds.
+    """Lower the longest step, and the longest that may have been made, by an element's bounds.
 
     signals : at the start of the step.   is_kept : whether the element's motion there is stored.
     """
 
     def do(kind: ElementKind) -> None:
         placed, _, end, _ = element.placed(kind, ZERO)
-        start = end
+        start = end = end._replace(signals=signals)
         if is_kept:
             rows = _kept_motion(element)
             start = Motion(ZERO, rows[0:9], rows[9:12], rows[12:15], rows[15:18])
-        start = start._replace(signals=signals)
-        for rate, distance in kind.element.travel(placed, start, end, h, size):
+            start = start._replace(signals=signals)
+        for rate, distance, slack in kind.element.travel(placed, start, end, h, size):
             if not is_zero(rate):
                 longest = where(rate > 0.0, distance / where(rate > 0.0, rate, 1.0), INF)
-                best.put(0, minimum(best[0], longest))
+                best.put(0, minimum(best[0], longest), minimum(best[1], slack * longest))
 
     element.each_kind(partial(_bounding, do))

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import inf, isfinite
 from typing import Any, ClassVar, Self
 
 from lierb.kernels.mechanics.elements import Tangent
+from lierb.kernels.mechanics.kinks import Bound, Travelled, travel_to_kink
 from lierb.kernels.mechanics.newton_euler import Motion, Wrench
 from lierb.kernels.mechanics.passive_elements import counted_turn
 from lierb.kernels.numbers.arithmetic import PI, fma, rint
@@ -29,6 +31,7 @@ class AtJoint(BuiltIn, is_abstract=True):
     turns: str = ""
     index: int = UNKNOWN
     needs_axis: ClassVar = True
+    whole_turn: ClassVar = 2.0 * PI
 
     @property
     def options(self) -> dict[str, Any]:
@@ -55,6 +58,19 @@ class AtJoint(BuiltIn, is_abstract=True):
         turn = atan2(x.q[3], x.q[0]) - middle
         return fma(-2.0 * PI, rint(turn * (0.5 / PI)), turn)  # in [−π, π]
 
+    def to_kink(
+        self, start: Motion, end: Motion, h: Any, middle: Any, kinks: tuple[Any, ...]
+    ) -> Bound:
+        """Return the bound of `travel_to_kink`; `end` is `start` before a step is tried."""
+        place, rate, tried = self.place(start, middle), self.rate(start), None
+        if end is not start:
+            change, later = self.place(end, middle) - place, self.rate(end)
+            if isfinite(self.whole_turn):  # the turn that is nearest to that by the mean rate
+                lacking = fma(0.5 * h, rate + later, -change)
+                change = fma(self.whole_turn, rint(lacking * (1.0 / self.whole_turn)), change)
+            tried = Travelled(change, later)
+        return travel_to_kink(place, rate, tried, h, kinks)
+
     def pushed(self, size: Any) -> Wrench:
         return (ZERO, ZERO, size), ZERO3
 
@@ -67,6 +83,7 @@ class AlongJoint(AtJoint, is_abstract=True):
     """Force along the joint axis e₃, a function of the coordinate d₃ and its rate."""
 
     needs_slide: ClassVar = True
+    whole_turn: ClassVar = inf
 
     def rate(self, x: Motion) -> Any:
         return x.v[2]

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from lierb.errors import ArgumentError, body_label
 from lierb.kernels.mechanics.elements import Tangent
-from lierb.kernels.mechanics.kinks import Bound, travel_to_kink
+from lierb.kernels.mechanics.kinks import Bound
 from lierb.kernels.mechanics.newton_euler import Motion, Wrench
 from lierb.kernels.numbers.arithmetic import PI, absolute, fma, maximum, minimum, where
 from lierb.model.forces.built_in import Parameter
@@ -28,7 +28,6 @@ class JointLimit(AtJoint):
 
     name = "joint_limit"
     bounds_steps: ClassVar = True
-    whole_turn: ClassVar = 2.0 * np.pi
     parameters: ClassVar = {
         "lower": Parameter("rad"),
         "upper": Parameter("rad"),
@@ -64,9 +63,9 @@ class JointLimit(AtJoint):
         self, placed: Any, start: Motion, end: Motion, h: Any, size: Any
     ) -> tuple[Bound, ...]:
         lower, upper = placed[:2]
-        place, half = self.place(start, 0.5 * (lower + upper)), 0.5 * (upper - lower)
+        half = 0.5 * (upper - lower)
         kinks = -half, half, *self.farther(half)
-        return (travel_to_kink(place, self.rate(start), self.rate(end), h, kinks),)
+        return (self.to_kink(start, end, h, 0.5 * (lower + upper), kinks),)
 
     def farther(self, half: Any) -> tuple[Any, ...]:
         """Kinks beyond the upper stop: half a turn from the middle, and then the lower stop."""
@@ -87,7 +86,6 @@ class SlideLimit(AlongJoint, JointLimit):
     """Stops at both ends of a slide along the joint axis."""
 
     name = "slide_limit"
-    whole_turn: ClassVar = np.inf
     parameters: ClassVar = sliding(JointLimit.parameters)
 
     def farther(self, half: Any) -> tuple[Any, ...]:

@@ -7,10 +7,10 @@ from typing import Any, ClassVar
 from numpy.typing import ArrayLike
 
 from lierb.kernels.mechanics.elements import Tangent
-from lierb.kernels.mechanics.kinks import Bound, travel_to_kink
+from lierb.kernels.mechanics.kinks import Bound
 from lierb.kernels.mechanics.newton_euler import Motion, Wrench
 from lierb.kernels.numbers.arithmetic import PI, fma, maximum, where
-from lierb.kernels.numbers.vec import UNIT, Vec, cross, dot, mat_t_vec, norm, scale, sub
+from lierb.kernels.numbers.vec import UNIT, Vec, axpy, cross, dot, mat_t_vec, norm, scale, sub
 from lierb.model.forces.built_in import (
     BODY_POINT,
     GROUND_POINT,
@@ -40,19 +40,21 @@ class SpringDamper(BuiltIn):
     is_conservative: ClassVar = True
     working: ClassVar = ("damping",)
 
-    def _line(self, placed: Any, x: Motion) -> tuple[Vec, Any, Any]:
-        """Vector from the ground's point to the body's in body axes, 1/ℓ and ℓ̇."""
+    def _line(self, placed: Any, x: Motion) -> tuple[Vec, Any, Vec]:
+        """Vector from the ground's point to the body's, its 1/ℓ and its rate, in body axes."""
         point, anchor = placed[:2]
         line = mat_t_vec(x.q, sub(x.place_of(point), anchor))
-        inverse = inverse_norm(line)
-        return line, inverse, dot(line, x.velocity_of(point)) * inverse
+        return line, inverse_norm(line), x.velocity_of(point)
 
     def wrench(self, placed: Any, x: Motion) -> Wrench:
         point, _, stiffness, damping, length = placed
-        line, inverse, rate = self._line(placed, x)
+        line, inverse, velocity = self._line(placed, x)
+        rate = dot(line, velocity) * inverse
         # k (ℓ − ℓ₀)/ℓ + c ℓ̇/ℓ: needs no direction where ℓ = 0
         tension = fma(inverse, fma(damping, rate, -(stiffness * length)), stiffness)
-        force = scale(-tension, line)
+        # There the line comes to lie along the velocity, and the damper's force is −c v.
+        anywhere = where(inverse == 0.0, damping, 0.0)
+        force = axpy(-anywhere, velocity, scale(-tension, line))
         return cross(point, force), force
 
     def tangents(self, placed: Any, x: Motion) -> tuple[Tangent, ...]:
@@ -73,8 +75,10 @@ class SpringDamper(BuiltIn):
         return 0.5 * stiffness * (stretch * stretch)
 
     def power(self, placed: Any, x: Motion, wrench: Wrench) -> Any:
-        _, _, rate = self._line(placed, x)
-        return -placed[3] * (rate * rate)
+        line, inverse, velocity = self._line(placed, x)
+        rate = dot(line, velocity) * inverse
+        square = where(inverse == 0.0, dot(velocity, velocity), rate * rate)
+        return -placed[3] * square
 
 
 def spring_damper(
@@ -165,8 +169,7 @@ class TorsionalSpring(JointSpring):
         if self.turns:
             return ()
         # the torque jumps half a turn from where the spring is slack
-        place, kinks = self.place(start, placed[2]), (PI, 3.0 * PI)
-        return (travel_to_kink(place, self.rate(start), self.rate(end), h, kinks),)
+        return (self.to_kink(start, end, h, placed[2], (PI, 3.0 * PI)),)
 
 
 def torsional_spring(

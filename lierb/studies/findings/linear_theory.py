@@ -117,9 +117,38 @@ def remarks(rows: Sequence[LinearTheory]) -> list[str]:
 def _of_setting(
     dataset: Results, setting: Setting, probabilities: Sequence[float]
 ) -> Iterator[LinearTheory]:
+    """Yield the linear theory of the outputs, each of the bodies in which it is a number."""
     study = dataset.study
     outputs = [*_outputs(study)]
     rows = _rows(dataset, setting, outputs)
+    if not len(next(iter(rows.values()))):
+        return
+    names = study.integrate.sensitivities
+    groups: dict[bytes, list[_Output]] = {}
+    for output in outputs:
+        own = [rows[output.column][:, [output.item]]]
+        own += [_of_part(output, rows[f"{output.of}{SEPARATOR}{name}"]) for name in names]
+        known = np.isfinite(np.concatenate(own, axis=1)).all(axis=1)
+        groups.setdefault(known.tobytes(), []).append(output)
+    found: dict[str, LinearTheory] = {}
+    for mask, group in groups.items():
+        known = np.frombuffer(mask, dtype=bool)
+        some = {name: values[known] for name, values in rows.items()}
+        found |= {
+            each.name: each for each in _of_bodies(dataset, setting, some, group, probabilities)
+        }
+    yield from (found[output.name] for output in outputs if output.name in found)
+
+
+def _of_bodies(
+    dataset: Results,
+    setting: Setting,
+    rows: dict[str, Array],
+    outputs: Sequence[_Output],
+    probabilities: Sequence[float],
+) -> Iterator[LinearTheory]:
+    """Yield the linear theory of outputs of the same bodies.   rows : of these bodies."""
+    study = dataset.study
     count = len(next(iter(rows.values())))
     if count < 2:
         return
@@ -195,7 +224,7 @@ def _outputs(study: Study) -> Iterator[_Output]:
 
 
 def _rows(dataset: Results, setting: Setting, outputs: Sequence[_Output]) -> dict[str, Array]:
-    """Read numbers, outputs, draws and derivatives of the ok bodies without NaN, (n, numbers)."""
+    """Read numbers, outputs, draws and derivatives of the ok bodies, (n, numbers)."""
     study = dataset.study
     columns = ["trajectory", *(output.column for output in outputs)]
     columns += [_sampled(name) for name in study.design.quantities if name != NOTHING]
@@ -204,12 +233,10 @@ def _rows(dataset: Results, setting: Setting, outputs: Sequence[_Output]) -> dic
         for output in outputs
         for name in study.integrate.sensitivities
     ]
-    rows = {
+    return {
         name: values.reshape(len(values), prod(values.shape[1:]))
         for name, values in ok_columns(dataset, setting, [*dict.fromkeys(columns)]).items()
     }
-    known = np.all([np.isfinite(values).all(axis=1) for values in rows.values()], axis=0)
-    return {name: values[known] for name, values in rows.items()}
 
 
 def _sampled(quantity: str) -> str:
@@ -239,11 +266,14 @@ def _along_parameters(
 
 def _by_parameters(output: _Output, study: Study, rows: dict[str, Array]) -> Array:
     """Return the derivatives of an output by all numbers of the parameters, (n, 1, numbers)."""
-    parts = []
-    for name in study.integrate.sensitivities:
-        flat = rows[f"{output.of}{SEPARATOR}{name}"]
-        parts.append(flat.reshape(len(flat), output.width, -1)[:, output.part])
+    names = study.integrate.sensitivities
+    parts = [_of_part(output, rows[f"{output.of}{SEPARATOR}{name}"]) for name in names]
     return np.concatenate(parts, axis=1)[:, None]
+
+
+def _of_part(output: _Output, derivatives: Array) -> Array:
+    """Return the derivatives of an output's component, (n, numbers of a parameter)."""
+    return derivatives.reshape(len(derivatives), output.width, -1)[:, output.part]
 
 
 def _shares(slopes: dict[str, Array], covariances: dict[str, Array]) -> dict[str, float]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Sequence
 from unicodedata import normalize
 
 import numpy as np
@@ -29,26 +29,31 @@ MOST_COMPONENTS = 6  # matrices are left out
 
 
 def labelled(
-    drawn: dict[str, str], rows: dict[str, Array], study: Study
-) -> Iterator[tuple[str, Array]]:
-    """Yield each sampled number by a label with its unit; matrices are left out.
+    drawn: dict[str, str], across: Sequence[dict[str, Array]], study: Study
+) -> list[dict[str, Array]]:
+    """Return the sampled numbers of each setting by labels with units; matrices are left out.
 
-    Of a vector in which bodies differ, components in which they do not are left out.
+    Of a vector in which bodies differ, components in which they do not are left out. All settings
+    have the same labels.
 
-    drawn : columns and their units.   rows : their values, (n,) or (n, k).
+    drawn : columns and their units.   across : their values, (n,) or (n, k), in each setting.
     """
+    found: list[dict[str, Array]] = [{} for _ in across]
     for name, unit in drawn.items():
-        values, quantity = rows[name], name.removeprefix("sample.")
-        columns = values[:, None] if values.ndim == 1 else values
-        width = columns.shape[1]
+        values, quantity = [rows[name] for rows in across], name.removeprefix("sample.")
+        columns = [x[:, None] if x.ndim == 1 else x for x in values]
+        width = columns[0].shape[1]
         if width > MOST_COMPONENTS:
             continue
-        differs = columns != columns[:1]
-        symbols = _symbols(quantity, width, values.ndim > 1, study)
-        for symbol, own, column in zip(symbols, each_unit(unit, width), columns.T, strict=True):
-            if differs.any() and np.all(column == column[:1]):
-                continue
-            yield with_unit(symbol, own), column
+        differs = np.any([np.any(x != x[:1], axis=0) for x in columns], axis=0)
+        symbols = _symbols(quantity, width, values[0].ndim > 1, study)
+        for i, (symbol, own) in enumerate(zip(symbols, each_unit(unit, width), strict=True)):
+            if differs[i] or not differs.any():
+                label = with_unit(symbol, own)
+                label = with_unit(f"{quantity}: {symbol}", own) if label in found[0] else label
+                for labels, x in zip(found, columns, strict=True):
+                    labels[label] = x[:, i]
+    return found
 
 
 def _symbols(quantity: str, width: int, is_vector: bool, study: Study) -> list[str]:
@@ -57,10 +62,10 @@ def _symbols(quantity: str, width: int, is_vector: bool, study: Study) -> list[s
     section, _, key = quantity.rpartition(".")
     first, _, of_link = section.partition(".")
     owner = ""
-    if of_link and first not in ELEMENTS:  # a link's quantity, which begins with the link's name
-        owner, quantity = f"{first}: ", f"{of_link}.{key}"
-    elif first == "forces":
+    if first in ELEMENTS:
         owner = f"{of_link}: "
+    elif of_link:  # a link's quantity, which begins with the link's name
+        owner, quantity = f"{first}: ", f"{of_link}.{key}"
     if quantity in ("initial.coordinates", "initial.velocities"):
         return [owner + name for name in _of_coordinates(whole, width, study)]
     if is_vector and len(SYMBOLS.get(quantity, ())) == width:

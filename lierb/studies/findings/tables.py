@@ -57,7 +57,8 @@ def with_interval(
     numbers : value, low, high.
     """
     value, low, high = (
-        "–" if np.isnan(x) else beyond if np.isinf(x) else f"{x:{form}}" for x in numbers
+        "–" if np.isnan(x) else "−" * (x < 0.0) + beyond if np.isinf(x) else f"{x:{form}}"
+        for x in numbers
     )
     return value, f"{low}…{high}"
 
@@ -129,7 +130,7 @@ def table_of_indices(rows: list[Sensitivity]) -> Table:
     before = None
     for each in _in_sections(table, rows):
         if (each.setting, each.column) != before:
-            table.add_row(f"  {each.column}")
+            table.add_row(f"  {each.column}, of {counted(each.rows, 'row')}")
             before = each.setting, each.column
         table.add_row(
             f"    {each.quantity}",

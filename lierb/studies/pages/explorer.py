@@ -33,15 +33,15 @@ def explorer(dataset: Results, ranked: list[Ranking], errors: Iterable[str]) -> 
     study, drawn = dataset.study, drawn_columns(dataset)
     axes = ordinates(dataset, (*(each.column for each in ranked), *errors))
     columns = [axis.column for axis in axes]
-    across: list[dict[str, Array]] = []
     up: list[dict[str, Array]] = []
     figure = go.Figure()
     sizes = step_sizes(study)
+    draws: list[dict[str, Array]] = []
     for look in looks(study):
         rows = ok_columns(dataset, look.setting, ["trajectory", *columns, *drawn])
         worst = [each.order(rows[each.column])[:WORST] for each in ranked]
         some = np.unique(np.concatenate([some_rows(len(rows["trajectory"]), POINTS), *worst]))
-        across.append({label: values[some] for label, values in labelled(drawn, rows, study)})
+        draws.append({name: rows[name][some] for name in drawn})
         up.append({name: rows[name][some] for name in columns})
         figure.add_scatter(
             mode="markers", name=look.setting.label, customdata=rows["trajectory"][some],
@@ -49,6 +49,7 @@ def explorer(dataset: Results, ranked: list[Ranking], errors: Iterable[str]) -> 
                     "symbol": SYMBOLS[sizes.index(look.setting.step) % len(SYMBOLS)]},
             hovertemplate="trajectory %{customdata}<br>%{x:.6g}, %{y:.6g}",
         )  # fmt: skip
+    across = labelled(drawn, draws, study)
     if not any(numbers.size for x in across for numbers in x.values()):
         return ""
     titles = list(across[0])

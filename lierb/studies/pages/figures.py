@@ -61,7 +61,7 @@ def omitted(dataset: Results) -> dict[str, str]:
     reasons = {
         "time": (not study.integrate.saves, "neither save_every nor save_at is set"),
         "order": _no_order(study),
-        "parameters": (not list(labelled(drawn, rows, study)), "no numbers are sampled"),
+        "parameters": (not labelled(drawn, [rows], study)[0], "no numbers are sampled"),
     }
     return {name: why for name, (is_left_out, why) in reasons.items() if is_left_out}
 

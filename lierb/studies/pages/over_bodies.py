@@ -105,12 +105,13 @@ def parameter_sheet(dataset: Results, rank_by: str | None = None) -> Sheet:
     (up,) = ordinates(dataset, [rankings(dataset, rank_by)[0].column])
     largest = [s for s in study.settings if s.step == step_sizes(study)[0]]
     shown = looks(study, largest)
-    dots = []
+    across = []
     for look in shown:
         rows = ok_columns(dataset, look.setting, [up.column, *drawn])
         some = some_rows(len(rows[up.column]), POINTS)
-        columns = {label: values[some] for label, values in labelled(drawn, rows, study)}
-        dots.append((look, rows[up.column][some], columns))
+        across.append({name: values[some] for name, values in rows.items()})
+    heights = [rows[up.column] for rows in across]
+    dots = [*zip(shown, heights, labelled(drawn, across, study), strict=True)]
     panels = [partial(_draw_dots, dots, label, up) for label in dots[0][2]]
     keys = [Key(look.key.label, look.key.colour, is_dot=True) for look in shown]
     return Sheet(f"{up.title} against what was sampled", panels, keys, across=3,
