@@ -82,13 +82,14 @@ def travel_to_kink(
     is_passed = (change >= distance) | (change <= -behind)
     first, final = h * speed, h * end
     cubic, bend = first + final - 2.0 * change, 3.0 * change - 2.0 * first - final
-    better = where(is_passed, minimum(part, 1.0), part)
+    begin = better = where(is_passed, minimum(part, 1.0), part)
     for _ in range(NEWTON_STEPS):
         found = fma(better, fma(better, fma(better, cubic, bend), first), -nearest)
         found = where(reaches, found, found + 2.0 * nearest)
         slope = fma(better, fma(3.0 * better, cubic, 2.0 * bend), first)
         better = better - found / where(slope == 0.0, 1.0, slope)
-    is_better = is_reached & (better > 0.0) & (better <= NEAR) & (absolute(part) <= NEAR)
-    time = h * where(is_better, better, part)
+    is_better = is_reached & (better > 0.0) & (better <= where(is_passed, 1.0, NEAR))
+    is_better = is_better & (begin <= NEAR)
+    time = h * where(is_better, better, where(is_passed, minimum(part, 0.5), part))
     rate = where(is_reached, nearest / where(is_reached, time, 1.0), 0.0)
     return Bound(rate, BEFORE * nearest, TIGHT)

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 from lierb.kernels.functions.signals import Signals
 from lierb.kernels.mechanics import tree_nodes
-from lierb.kernels.mechanics.kinks import Bound
+from lierb.kernels.mechanics.kinks import TIGHT, Bound
 from lierb.kernels.mechanics.newton_euler import Motion
 from lierb.kernels.mechanics.tree import HERE
 from lierb.kernels.mechanics.tree_connections import between, frame_on
@@ -142,7 +142,7 @@ class LoopMotions(LoopRows):
             tree.for_elements(_keep_motion)
             self._see(tree, end.is_next)
         tree.for_elements(partial(_bound, best, h, size, body.signals, is_kept))
-        return (*bounds, Bound(1.0, best[0], INF), Bound(1.0, best[1], 1.0))
+        return (*bounds, Bound(1.0, best[0], INF), Bound(1.0, best[1], TIGHT))
 
 
 def _bounding(do: Callable[[ElementKind], None], kind: ElementKind) -> None:
@@ -182,6 +182,8 @@ def _bound(
         for rate, distance, slack in kind.element.travel(placed, start, end, h, size):
             if not is_zero(rate):
                 longest = where(rate > 0.0, distance / where(rate > 0.0, rate, 1.0), INF)
-                best.put(0, minimum(best[0], longest), minimum(best[1], slack * longest))
+                # the second number as if all slacks were TIGHT
+                accepted = (slack / TIGHT) * longest
+                best.put(0, minimum(best[0], longest), minimum(best[1], accepted))
 
     element.each_kind(partial(_bounding, do))

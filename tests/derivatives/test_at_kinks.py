@@ -1,0 +1,128 @@
+"""Derivatives of forces that kink or lose their direction: stops, dampers of no length, roots."""
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+import lierb
+from lierb.kernels.mechanics.kinks import Travelled, travel_to_kink
+
+MASS, GRAVITY = 1.3, 9.7
+BALL = lierb.Body(MASS, (0.02, 0.02, 0.02))
+SLIDE = lierb.joints.prismatic()
+BOTH = ["pose0", "twist0"]
+
+
+class Bounced:
+    """A mass is thrown up, meets a stop that is a spring, and is let go."""
+
+    def __init__(self, stop: float, stiffness: float) -> None:
+        self.stop, self.turn = stop, np.sqrt(stiffness / MASS)
+
+    def motion(self, speed: float, time: float) -> tuple[float, float]:
+        """Place and velocity at a time after the release, by arcs in closed form."""
+        at_stop = np.sqrt(speed**2 - 2.0 * GRAVITY * self.stop)
+        met = (speed - at_stop) / GRAVITY
+        # beyond the stop s = −g/ω² (1 − cos ωτ) + v/ω sin ωτ, zero again where tan(ωτ/2) = vω/g
+        held = 2.0 * np.arctan2(at_stop * self.turn, GRAVITY) / self.turn
+        free = time - met - held
+        assert free > 0.0
+        return self.stop - at_stop * free - 0.5 * GRAVITY * free**2, -at_stop - GRAVITY * free
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("solver", ["auto", pytest.param("looped", marks=pytest.mark.long)])
+@pytest.mark.parametrize(("rtol", "error"), [(1e-6, 1e-5), (1e-9, 2e-6)])
+def test_adaptive_steps_end_where_a_stop_lets_go(rtol, error, solver):
+    """Derivatives after the release: with the kink within a step they were off by 1e-3.
+
+    A step of a millionth of the usual length contains it, of which the error is 1e-6.
+    """
+    speed, stop, stiffness, end, h = 3.0, 0.3, 2000.0, 0.25, 1e-6
+    truth = Bounced(stop, stiffness)
+    force = lierb.forces.slide_limit(lower=-5.0, upper=stop, stiffness=stiffness)
+    gravity = (0.0, 0.0, -GRAVITY)
+    made = lierb.Problem(BALL, SLIDE, gravity, force)
+    run, by = {"twist0": (0.0, 0.0, 0.0, 0.0, 0.0, speed)}, "twist0"
+    if solver == "looped":
+        link = lierb.Link("ball", BALL, SLIDE)
+        made = lierb.Mechanism(link, gravity=gravity, forces=force.on("ball"))
+        run, by = {"twist0": {"ball": run["twist0"]}}, "ball.twist0"
+    result = lierb.integrate(made, **run, rtol=rtol, t_end=end, solver=solver, with_respect_to=by)
+    prefix = "ball." if solver == "looped" else ""
+    columns = [result.sensitivity(f"{prefix}{of}", by) for of in ("pose", "twist")]
+    by_speed = [column.reshape(-1, 6, 6)[-1, 5, 5] for column in columns]
+    ahead, behind = (np.array(truth.motion(speed + s, end)) for s in (h, -h))
+    expected = (ahead - behind) / (2.0 * h)
+    np.testing.assert_allclose(by_speed, expected, rtol=error)
+
+
+@pytest.mark.parametrize("part", [1.6, 1.2, 1.01, 0.9])
+def test_steps_close_in_on_the_kink_of_a_sine(part):
+    """Steps that pass the release are cut to end a thousandth before it."""
+    turn, half = 12.4, 0.35
+    release = np.pi / turn
+    for _ in range(4):
+        h = part * release
+        change, rate = 0.1 * np.sin(turn * h), 0.1 * turn * np.cos(turn * h)
+        bound = travel_to_kink(
+            half + 1e-12, 0.1 * turn, Travelled(change, rate), h, (-half, half, 1e100)
+        )
+        longest = bound.distance / bound.rate
+        if h <= bound.slack * longest:
+            break
+        part = longest / release
+    assert h < release
+    assert part > 0.8
+
+
+@pytest.mark.parametrize(
+    "options",
+    [{"dt": 5e-3}, pytest.param({"dt": 5e-3, "cspace": "SO3xR3"}, marks=pytest.mark.long)],
+)
+@pytest.mark.parametrize("speed", [0.0, 1.0])
+def test_a_damper_of_no_length_acts_along_the_velocity(speed, options):
+    """At rest on its anchor and moving through it, along a slide: the matrix exponential."""
+    k, c = 20.0, 4.0
+    slide = lierb.joints.prismatic(axis=(1.0, 0.0, 0.0))
+    spring = lierb.forces.spring_damper(stiffness=k, damping=c)
+    made = lierb.Problem(BALL, slide, forces=spring)
+    result = lierb.integrate(
+        made, twist0=(0.0, 0.0, 0.0, speed, 0.0, 0.0), t_end=0.5, with_respect_to=BOTH,
+        **options,
+    )  # fmt: skip
+    flow = expm(0.5 * np.array([[0.0, 1.0], [-k / MASS, -c / MASS]]))
+    found = [
+        [result.sensitivity(of, by)[0, 3, 3] for by in ("pose0", "twist0")]
+        for of in ("pose", "twist")
+    ]
+    np.testing.assert_allclose(found, flow, atol=1e-7)  # of RK4 at 5 ms
+    np.testing.assert_allclose(result.position[0, 0], flow[0, 1] * speed, atol=1e-8)
+    assert max(result.summary["energy_drift_max"].to_pylist()) < 1e-7
+
+
+@lierb.wrench(c=0.4)
+def by_norm(t, R, r, omega, v, params):
+    return (0.0, 0.0, 0.0), -params.c * np.linalg.norm(v) * v
+
+
+@lierb.wrench(c=0.4)
+def by_power(t, R, r, omega, v, params):
+    return (0.0, 0.0, 0.0), -params.c * (v @ v) ** 0.5 * v
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("air", [by_norm, pytest.param(by_power, marks=pytest.mark.long)])
+def test_a_root_at_zero_has_no_slope(air):
+    """From rest: ‖v‖v has a derivative there, that of quadratic drag."""
+    run = {"dt": 0.01, "t_end": 0.5}
+    free, gravity = lierb.joints.free(), (0.0, 0.0, -9.0)
+    drag = lierb.Problem(BALL, free, gravity, lierb.forces.drag(quadratic=0.4))
+    own = lierb.Problem(BALL, free, gravity, air())
+    expected = lierb.integrate(drag, with_respect_to=["drag.quadratic", "twist0"], **run)
+    name = f"{air.function.__name__}.c"
+    found = lierb.integrate(own, with_respect_to=[name, "twist0"], **run)
+    for by, of_drag in ((name, "drag.quadratic"), ("twist0", "twist0")):
+        np.testing.assert_allclose(
+            found.sensitivity("pose", by), expected.sensitivity("pose", of_drag), atol=1e-13
+        )
