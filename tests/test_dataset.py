@@ -753,3 +753,8 @@ def test_studies_of_results_are_named_by_their_folders(tmp_path, monkeypatch):
     # In place it is refused, with what to do.
     refused = invoke("run", "results/spun/study.toml")
     assert "has results of this study already" in " ".join(refused.stderr.split())
+
+
+def test_a_folder_without_results_is_refused_at_once(tmp_path):
+    with pytest.raises(StudyError, match="holds no results"):
+        Dataset(tmp_path / "none")

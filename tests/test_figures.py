@@ -73,6 +73,24 @@ def labels(given, **columns) -> list[str]:
     return [*symbols.labelled(named, [rows], given)[0]]
 
 
+def test_parameters_of_two_elements_have_two_labels(given):
+    found = labels(given, observables__up__gain=("", 0), observables__down__gain=("", 0))
+    assert found == ["up: gain", "down: gain"]
+    assert len(set(labels(given, forces__a__x=("", 0), states__a__x=("", 0)))) == 2
+
+
+def test_settings_have_the_same_labels(given):
+    """A component that differs in one setting only, or that has no bodies in another."""
+    units = {"sample.initial.omega": "rad/s"}
+    across = [
+        {"sample.initial.omega": np.array([[1.0, 2.0, 3.0], [1.5, 2.0, 3.0]])},
+        {"sample.initial.omega": np.array([[1.0, 2.0, 3.0], [1.0, 2.5, 3.0]])},
+        {"sample.initial.omega": np.empty((0, 3))},
+    ]
+    found = symbols.labelled(units, across, given)
+    assert [[*each] for each in found] == [["ω₁ [rad/s]", "ω₂ [rad/s]"]] * 3
+
+
 def test_sampled_numbers_are_labelled_by_symbols(given):
     twist = "rad/s, rad/s, rad/s, m/s, m/s, m/s"
     assert labels(given, initial__twist=(twist, 6)) == [

@@ -283,6 +283,36 @@ def distances(r, params):
 """
 
 
+TWO = """
+import lierb
+import numpy as np
+
+@lierb.observable(unit="rad/s")
+def whole(omega):
+    return omega[1]
+
+@lierb.observable(unit="rad/s")
+def part(omega):
+    return lierb.where(omega[1] > 0.0, omega[1], np.nan)
+"""
+
+
+@pytest.mark.slow
+def test_an_output_without_a_number_leaves_the_bodies_of_others(tmp_path):
+    """Half of the bodies have no `part`; `whole` is of all of them."""
+    (tmp_path / "two.py").write_text(TWO)
+    changed = tables(n=64, t_end=0.02)
+    kinds = [{"type": f"python:two.py:{name}"} for name in ("whole", "part")]
+    changed["problem"]["observables"] = kinds
+    changed["sample"]["initial"]["velocities"] = normal([0.0], [0.5])
+    dataset = lierb.run(Study.of(changed, folder=tmp_path), tmp_path / "out")
+    theories = {each.name: each for each in linear_theories(dataset)}
+    values = dataset.table().to_table(columns=["whole_final"])["whole_final"].to_numpy()
+    (median,) = (q.value for q in theories["whole_final"].sampled if q.probability == 0.5)
+    assert median == pytest.approx(np.median(values), abs=0.02)
+    assert theories["part_final"].sampled[0].value > 0.0
+
+
 @pytest.mark.long
 def test_end_times_and_observables_have_linear_theory(tmp_path):
     """A throw: t = (w + √(w² + 2gh))/g and reach u t; RK4 is exact, 1e-9 for the event's time."""

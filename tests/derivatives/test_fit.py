@@ -22,7 +22,7 @@ from lierb.analysis.identifiability import described, identified
 from lierb.analysis.measurements import measurements
 from lierb.analysis.pseudo_inertia import SIZES, body_of, coordinates_of, derivatives_of
 from lierb.analysis.unknowns import Unknowns
-from lierb.errors import InertiaError, LierbError, PoseError
+from lierb.errors import ArgumentError, InertiaError, LierbError, PoseError
 from lierb.runs.parameters import SYMMETRIC, chosen_parameters, separate_parameters
 from lierb.runs.variations import Variation, with_start
 
@@ -596,3 +596,19 @@ def test_a_whole_history_is_read_without_the_errors_of_joints():
     for table in (history, history.to_pandas()):
         columns = measurements(flight, table, None).columns
         assert [c.quantity.name for c in columns] == ["rotation", "position", "omega", "v"]
+
+
+@lierb.event(terminal=True)
+def at_ground(r):
+    return r[2] + 0.5
+
+
+@pytest.mark.slow
+def test_a_guess_that_ends_before_the_data_is_told():
+    body = lierb.Body(1.3, (0.02, 0.02, 0.02))
+    drag = lierb.forces.drag(linear=0.5)
+    made = lierb.Problem(body, lierb.joints.free(), (0.0, 0.0, -9.0), drag, events=at_ground())
+    t = np.linspace(0.1, 0.5, 5)
+    data = {"t": t, "position": -2.0 * t[:, None] ** 2 * np.array([0.0, 0.0, 1.0])}
+    with pytest.raises(ArgumentError, match=r"guess is not finite .* event ends it at t = 0\.34"):
+        lierb.fit(made, data, "drag.linear")

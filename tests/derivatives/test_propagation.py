@@ -161,3 +161,25 @@ def test_runs_of_the_sample_that_fail_are_told():
         )
     assert 0 < spread.failed < 100
     assert spread.size + spread.failed == 100
+
+
+@lierb.controller(every=0.1, size=0.3)
+def wind(params):
+    return {"push": params.size * lierb.noise.normal("wind", 1)[0]}
+
+
+@lierb.wrench(drag=0.4)
+def pushed(t, R, r, omega, v, params, controls):
+    return (0.0, 0.0, 0.0), np.array([controls.push, 0.0, 0.0]) - params.drag * v
+
+
+@pytest.mark.slow
+def test_the_sample_has_the_noise_of_the_nominal_run():
+    """The wrench is linear: linear theory is exact, whatever the noise."""
+    body, free = lierb.Body(1.0, (0.1, 0.1, 0.1)), lierb.joints.free()
+    made = lierb.Problem(body, free, forces=pushed(), controllers=wind())
+    spread = {"twist0": [0.0, 0.0, 0.0, 1e-3, 1e-3, 1e-3]}
+    run = {"dt": 0.01, "of": "position", "monte_carlo": 200}
+    for options in ({}, {"trajectories": [2]}):
+        found = lierb.propagate(made, spread, "twist0", [0.5, 1.0], **run, **options)
+        assert found.holds["position"].all()

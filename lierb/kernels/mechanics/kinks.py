@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 from lierb.kernels.numbers.arithmetic import (
     absolute,
     fma,
+    maximum,
     minimum,
     sqrt,
     where,
@@ -18,6 +19,7 @@ from lierb.kernels.numbers.number import Number
 BEFORE = 0.999
 LOOSE = 1.1  # factor by which a step may exceed a bound by a velocity, which changes in it
 TIGHT = 1.0005  # the same for a kink, which would be within the step
+LEAST = 1e-11  # least distance to a kink, of its coordinate: steps pass one that is nearer
 NEWTON_STEPS = 3
 NEAR = 1.5  # part of a step up to which its cubic is used
 
@@ -56,11 +58,13 @@ def travel_to_kink(
     """
     *near, last = kinks
 
+    least = LEAST * maximum(absolute(near[-1]), absolute(place))
+
     def distance_to_kink(ahead: Any) -> Any:
         distance: Any = last - ahead
         for kink in reversed(near):
             distance = where(kink > ahead, kink - ahead, distance)
-        return distance
+        return maximum(distance, least)
 
     if tried is None:
         ahead = where(rate >= 0.0, place, -place)

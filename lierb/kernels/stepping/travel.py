@@ -7,13 +7,14 @@ from typing import Any, NamedTuple
 from lierb.kernels.mechanics.passive_elements import UserEvent
 from lierb.kernels.numbers.arithmetic import absolute, floor, maximum, minimum, where
 from lierb.kernels.numbers.zero import is_zero
-from lierb.kernels.stepping.step_size import EPS, INF, LEAST_ULPS
+from lierb.kernels.stepping.step_size import EPS, INF
 from lierb.kernels.systems.plan import AnyPlan
 from lierb.kernels.systems.signals import events_of
 from lierb.kernels.systems.state import State
 from lierb.kernels.systems.system_of import system_of
 
 LEAST_OF_STEP = 1e-6  # least bound, a fraction of a step, so that the next step passes a kink
+LEAST_OF_TIME = 1e4 * EPS  # of the time: rounding of a step's ends is less than its slack
 MOST_PARTS = 32  # largest number of parts of a step, each searched for events
 
 
@@ -41,7 +42,7 @@ def longest_step(
         body = body._replace(signals=body.signals._replace(states=state.states))
     start = system.motion(body, state, time)
     end = start if moved is state else system.motion(body, moved, time, is_next=True)
-    least = maximum(LEAST_OF_STEP * wanted, 4.0 * LEAST_ULPS * EPS * absolute(time))
+    least = maximum(LEAST_OF_STEP * wanted, LEAST_OF_TIME * absolute(time))
     longest = Longest(INF, INF)
     for watched, parts in ((None, 1.0), (UserEvent, float(MOST_PARTS))):
         for rate, distance, slack in system.travel(body, start, end, time, h, watched):
