@@ -57,7 +57,6 @@ def travel_to_kink(
         other one. The last one is greater than any coordinate.
     """
     *near, last = kinks
-
     least = LEAST * maximum(absolute(near[-1]), absolute(place))
 
     def distance_to_kink(ahead: Any) -> Any:
@@ -81,6 +80,7 @@ def travel_to_kink(
     back = root + speed
     mean = where(reaches, 0.5 * back, -gain * behind / where(back > 0.0, back, 1.0))
     nearest = where(reaches, distance, behind)
+    target = where(reaches, nearest, -nearest)
     is_reached = mean > 0.0
     part = nearest / where(is_reached, mean * h, 1.0)  # of the step
     is_passed = (change >= distance) | (change <= -behind)
@@ -88,8 +88,7 @@ def travel_to_kink(
     cubic, bend = first + final - 2.0 * change, 3.0 * change - 2.0 * first - final
     begin = better = where(is_passed, minimum(part, 1.0), part)
     for _ in range(NEWTON_STEPS):
-        found = fma(better, fma(better, fma(better, cubic, bend), first), -nearest)
-        found = where(reaches, found, found + 2.0 * nearest)
+        found = fma(better, fma(better, fma(better, cubic, bend), first), -target)
         slope = fma(better, fma(3.0 * better, cubic, 2.0 * bend), first)
         better = better - found / where(slope == 0.0, 1.0, slope)
     is_better = is_reached & (better > 0.0) & (better <= where(is_passed, 1.0, NEAR))

@@ -331,7 +331,8 @@ def _swept(poses: Array, shape: Shape) -> Array:
 def _turn(omega: Array, t: Array) -> float:
     """Return the largest turn between frames, rad, from rates: poses omit whole turns."""
     with np.errstate(all="ignore"):
-        turns = np.linalg.norm(omega[:-1], axis=1) * np.diff(t)
+        rates = np.linalg.norm(omega, axis=1)
+        turns = np.fmax(rates[:-1], rates[1:]) * np.diff(t)
     return float(np.nanmax(turns, initial=0.0))
 
 
