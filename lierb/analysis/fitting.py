@@ -270,7 +270,9 @@ def _report(task: Task, solution: Any, evaluations: int, sides: Array, refusal: 
         for i in np.flatnonzero(sides)
     }
     model: Any = varied.model
-    is_minimum = solution.status > 0 and task.is_minimum(sides == 0.0)
+    # Along directions that the data do not tell, the estimate may move on for ever.
+    has_ended = solution.status > 0 or len(told.null) > 0
+    is_minimum = has_ended and task.is_minimum(sides == 0.0)
     return Fit(
         estimate=unknowns.estimate, standard_errors=unknowns.by_parameter(deviations),
         covariance=covariance, labels=unknowns.labels,
@@ -298,7 +300,11 @@ def _status(solution: Any, is_minimum: bool, refusal: str, at_bounds: Mapping[st
     stuck = REASONS[STUCK]
     if refusal:
         stuck = f"no step decreases the sum of squares, for there is no run nearby: {refusal}"
-    reason = stuck if solution.status > 0 and not is_minimum else reasons[int(solution.status)]
+    reason = reasons[int(solution.status)]
+    if is_minimum and solution.status == 0:
+        reason = "the sum of squares is at its minimum, along all directions that the data tell"
+    elif solution.status > 0 and not is_minimum:
+        reason = stuck
     bounded = [f"{label} is at its {side} bound" for label, side in at_bounds.items()]
     return "; ".join((reason, *bounded))
 
