@@ -11,7 +11,6 @@ from studies import study
 
 import lierb
 from lierb import joints
-from lierb.studies.dataset import Dataset
 from lierb.studies.storage.store import Store
 from lierb.support import representations
 
@@ -122,7 +121,6 @@ def test_study_of_another_kind_of_mistake_still_has_a_repr():
 
 
 def test_dataset_says_what_is_in_the_folder(tmp_path):
-    assert repr(Dataset(tmp_path)) == f"<lierb.studies.dataset.Dataset of {tmp_path}>"
     dataset = lierb.run(study(), tmp_path / "out")
     said = lines(dataset)
     assert str(tmp_path / "out") in repr(dataset)

@@ -305,7 +305,9 @@ def test_assemblies_that_cannot_be_listed_are_refused():
         bars.assemblies(starts=5)
     with pytest.raises(lierb.errors.ArgumentError, match=r"hold\['crank'\] has 2 members"):
         bars.assemblies({"crank": [0.1, 0.2]})
-    with pytest.raises(lierb.errors.PoseError, match="none of 5 random starts comes to close"):
+    with pytest.raises(
+        lierb.errors.PoseError, match="none of 5 random starts leads to a closed pose"
+    ):
         bars.assemblies({"rocker": 0.0}, starts=5)
     with pytest.raises(lierb.errors.ArgumentError, match="starts=0; expected a whole number"):
         bars.assemblies({"crank": 0.1}, starts=0)

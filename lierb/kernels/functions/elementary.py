@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from functools import cache, partial, reduce
 from typing import Any
 
@@ -101,8 +103,23 @@ def _sine_or_cosine(name: str, x: Any) -> Any:
     )
 
 
+_is_constraint = ContextVar("_is_constraint", default=False)
+
+
+@contextmanager
+def constraint() -> Iterator[None]:
+    """Let roots have infinite slopes at zero in the context: a zero row of J would be no row."""
+    token = _is_constraint.set(True)
+    try:
+        yield
+    finally:
+        _is_constraint.reset(token)
+
+
 def _slope_of_root(x: Any, y: Any) -> Any:
     """Return the slope of y = √x; 0 at zero, as `Dual.sqrt`: ‖v‖v has its derivative there."""
+    if _is_constraint.get():
+        return 0.5 / y
     is_zero_there = raw(y) == 0.0
     return choice(is_zero_there, 0.0, 0.5 / choice(is_zero_there, 1.0, y))
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
+from lierb.kernels.functions.elementary import constraint
 from lierb.kernels.functions.function import Function
 from lierb.kernels.functions.user_number import UserNumber
 from lierb.kernels.mechanics.elements import Element
@@ -53,7 +54,8 @@ class UserRow(AddedRow):
         return self.element.function.name + (str(self.i + 1) if self.element.rows > 1 else "")
 
     def _of(self, body: HeldBody, r: Any, place: Any) -> Any:
-        return self.element.function(self.placed(body)[1], r, place)[self.i]
+        with constraint():
+            return self.element.function(self.placed(body)[1], r, place)[self.i]
 
     def value(self, x: Kinematics, body: HeldBody) -> Any:
         h = self._of(body, *UserFrame(*self.placed(body)[0]).pose(x.q, x.d))
@@ -88,7 +90,8 @@ class UserRow(AddedRow):
         bend = mat_vec(r, mat_vec(frame.axes, add(x.point_bias, swing)))
         places = [second(*xs) for xs in zip(place, mat_vec(r, v), bend, strict=True)]
         parameters = constant_in_time(self.placed(body)[1])
-        h = self.element.function(parameters, tuple(entries), tuple(places))[self.i]
+        with constraint():
+            h = self.element.function(parameters, tuple(entries), tuple(places))[self.i]
         slope = h.parts[0] if isinstance(h, UserNumber) else ZERO
         return -slope.parts[0] if isinstance(slope, UserNumber) and slope.parts else ZERO
 
@@ -142,7 +145,8 @@ class UserVelocityRow(UserRow):
         return -_slopes(rate, (ZERO,))[0]
 
     def _rate(self, body: HeldBody, r: Any, place: Any, omega: Any, v: Any) -> Any:
-        return self.element.function(self.placed(body)[1], r, place, omega, v)[self.i]
+        with constraint():
+            return self.element.function(self.placed(body)[1], r, place, omega, v)[self.i]
 
 
 def _slopes(number: Any, none: Vec) -> Vec:
