@@ -9,6 +9,7 @@ origin; `lierb.kernels.systems.tree_descriptor` has that of a mechanism.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from types import ModuleType
 from typing import Any, NamedTuple
 
@@ -97,8 +98,7 @@ class Descriptor:
 
         def found() -> Vec:
             rows = [without_derivatives(row) for row in constraints.jacobian]
-            mass = Factored([list(without_derivatives(column)) for column in self.mass_matrix()])
-            columns = [mass.solve(row) for row in rows]
+            columns = _over(without_derivatives(self.mass_matrix()), rows)
             schur = [[dot(row, columns[j]) for j in range(i + 1)] for i, row in enumerate(rows)]
             mobilities = [line[-1] for line in schur]
             nothing = [ZERO] * len(rows)
@@ -166,8 +166,7 @@ class Descriptor:
 
     def per_mass(self, constraints: Constraints) -> Constraints:
         """Return the constraints with J M⁻¹ in place of J."""
-        mass = Factored([list(column) for column in self.mass_matrix()])
-        return constraints._replace(jacobian=tuple(map(mass.solve, constraints.jacobian)))
+        return constraints._replace(jacobian=_over(self.mass_matrix(), constraints.jacobian))
 
     def consistent(self, constraints: Constraints, dependent: Vec) -> Factored:
         """Factor [[M, Jᵀ], [J, 0]] without the rows that are `dependent`."""
@@ -234,6 +233,12 @@ class BodyDescriptor(Descriptor):
 
     def size(self, chart: Chart, x: Vec) -> Any:
         return size_of(self.body.girth, chart, x)
+
+
+def _over(mass: Mat, rows: Sequence[Vec]) -> tuple[Vec, ...]:
+    """Return M⁻¹ times each row."""
+    factored = Factored([list(column) for column in mass])
+    return tuple(map(factored.solve, rows))
 
 
 def units(n: int) -> Mat:

@@ -27,22 +27,23 @@ TYPES = ("revolute", "continuous", "prismatic", "fixed", "floating", "planar", "
 SCALAR = ("revolute", "continuous", "prismatic")  # joints with one coordinate
 SHORT = 1e-10  # least length of an axis, as in MuJoCo
 MOMENTS = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")  # in the order of MuJoCo's fullinertia
+NONE: set[str] = set()
 READ = {  # elements within an element and its attributes: read, or without effect on the motion
     "robot": ({"link", "joint", "material", "mujoco"}, {"name", "version"}),
     "link": ({"inertial", "visual", "collision"}, {"name"}),
-    "inertial": ({"origin", "mass", "inertia"}, set[str]()),
-    "mass": (set[str](), {"value"}),
-    "inertia": (set[str](), {*MOMENTS}),
+    "inertial": ({"origin", "mass", "inertia"}, NONE),
+    "mass": (NONE, {"value"}),
+    "inertia": (NONE, {*MOMENTS}),
     "joint": (
         {"parent", "child", "origin", "axis", "limit", "dynamics", "mimic"}, {"name", "type"},
     ),
-    "parent": (set[str](), {"link"}),
-    "child": (set[str](), {"link"}),
-    "origin": (set[str](), {"xyz", "rpy", "quat_xyzw"}),
-    "axis": (set[str](), {"xyz"}),
-    "limit": (set[str](), {"lower", "upper", "effort", "velocity"}),
-    "dynamics": (set[str](), {"damping", "friction"}),
-    "mimic": (set[str](), {"joint", "multiplier", "offset"}),
+    "parent": (NONE, {"link"}),
+    "child": (NONE, {"link"}),
+    "origin": (NONE, {"xyz", "rpy", "quat_xyzw"}),
+    "axis": (NONE, {"xyz"}),
+    "limit": (NONE, {"lower", "upper", "effort", "velocity"}),
+    "dynamics": (NONE, {"damping", "friction"}),
+    "mimic": (NONE, {"joint", "multiplier", "offset"}),
 }  # fmt: skip
 
 

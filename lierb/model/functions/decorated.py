@@ -13,7 +13,6 @@ from lierb.kernels.functions.shapes import Shape, UserFunction
 from lierb.support.arrays import as_floats
 
 MOST_NAME, MOST_UNIT = 100, 40  # largest numbers of characters
-LAMBDA = (lambda: None).__name__
 
 
 class Decorated:
@@ -78,7 +77,7 @@ def column_name(argument: str, name: Any) -> str:
     if not (isinstance(name, str) and name.isidentifier() and len(name) <= MOST_NAME):
         raise ArgumentError(
             f"{argument} is {brief(name)}; expected letters, digits and _, at most {MOST_NAME} of "
-            f"them, for a column's name{'; define the function by def' * (name == LAMBDA)}"
+            f"them, for a column's name{'; define the function by def' * (name == '<lambda>')}"
         )
     return name
 
