@@ -18,10 +18,13 @@ def main() -> None:
         require("cli")
     except MissingExtraError as error:
         sys.exit(str(error))
-    from lierb.cli import cli
+    try:
+        from lierb.cli import cli
 
-    warnings.showwarning = _show_warning
-    cli(prog_name="lierb")
+        warnings.showwarning = _show_warning
+        cli(prog_name="lierb")
+    except KeyboardInterrupt:  # before a command has begun
+        sys.exit(130)  # 128 + SIGINT, as of shells
 
 
 def _show_warning(message: Warning | str, *_: Any, **__: Any) -> None:

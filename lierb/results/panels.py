@@ -252,11 +252,15 @@ def ridges(panel: Axes, rows: Sequence[Ridge], least: float, *, is_log: bool) ->
 
 
 def _name_ridge(panel: Axes, row: Ridge, base: int, least: float, is_log: bool) -> None:
-    values = row.values[np.isfinite(row.values)]
-    zeros = np.mean(np.abs(values) <= least) if values.size and is_log else 0.0
-    note = "no body got to its end" if not values.size else ""
-    if zeros > 0.0:
-        note = "exactly 0" if zeros == 1.0 else f"{100 * zeros:.2g} % exactly 0"
+    values = row.values[~np.isnan(row.values)]
+    is_zero = np.abs(values) <= least if is_log else np.zeros(0)
+    shares = [("exactly 0", is_zero), ("infinite", np.isinf(values))]
+    notes = [
+        what if each.all() else f"{100 * each.mean():.2g} % {what}"
+        for what, each in shares
+        if each.any()
+    ]
+    note = ", ".join(notes) if values.size else "no body got to its end"
     panel.text(0.005, base + 0.97, row.key.label, transform=panel.get_yaxis_transform(),
                color=row.key.colour, fontsize=8, va="top")  # fmt: skip
     panel.text(0.995, base + 0.97, note, transform=panel.get_yaxis_transform(), color=GREY,

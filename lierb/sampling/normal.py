@@ -140,7 +140,7 @@ class TruncatedNormal(Distribution):
     std : float or array_like, shape (d,)
         Standard deviation of the normal distribution before truncation, > 0.
     low : float or array_like, shape (d,), optional
-        Lower bound, may be −inf. The interval must reach to within 10⁶ std of the mean.
+        Lower bound, may be −inf.
     high : float or array_like, shape (d,), optional
         Upper bound, high > low, may be inf.
 
