@@ -171,7 +171,7 @@ def test_the_front_page_shows_the_stored_run():
     shown = [
         line.split(" | ") for line in takewhile(lambda line: line.startswith("| "), page[first:])
     ]
-    assert len(shown) == 5
+    assert len(shown) == 6
     for label, speed, error in shown:
         (row,) = (row for row in tables if row[0] == label)
         assert (speed, error.removesuffix(" |")) == (row[1], row[4])
