@@ -75,23 +75,17 @@ def observed_orders(
     """
     keyed: dict[tuple[str, str, str], list[dict[str, Any]]] = {}
     for row in rows:
-        keyed.setdefault((row["method"], row["cspace"], _control(row)), []).append(row)
+        control = "rtol" if row["dt"] is None else "dt"
+        keyed.setdefault((row["method"], row["cspace"], control), []).append(row)
     for (method, cspace, control), of in keyed.items():
         by_step = {row["step"]: row for row in of if row["step"] is not None}
         steps, of = list(by_step), list(by_step.values())
         if len(steps) < 2:
             continue
         for quantity, size in sizes.items():
-            errors = np.array([_number(r[quantity]) if not r["failed"] else np.nan for r in of])
-            floors = np.array([_number(row[quantity + FLOOR]) for row in of])
+            # None becomes NaN
+            errors = np.array([None if r["failed"] else r[quantity] for r in of], dtype=float)
+            floors = np.array([row[quantity + FLOOR] for row in of], dtype=float)
             order = fitted_order(steps, errors, size, floors)  # type: ignore[arg-type]
             words = verdict(errors, order)  # type: ignore[arg-type]
             yield Observed(method, cspace, control, quantity, order, known[method], len(of), words)
-
-
-def _number(value: float | None) -> float:
-    return np.nan if value is None else float(value)
-
-
-def _control(row: dict[str, Any]) -> str:
-    return "rtol" if row["dt"] is None else "dt"
