@@ -6,7 +6,6 @@ import json
 import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -207,7 +206,9 @@ class Comparison(Represented):
             "tex": self.to_latex().encode(),
         }
         if is_installed("plot"):
-            contents |= {kind: _picture(self.figure(), kind) for kind in ("png", "svg")}
+            from lierb.results.plots import picture
+
+            contents |= {kind: picture(self.figure(), kind) for kind in ("png", "svg")}
         with naming(folder, "made", "choose another folder"):
             folder.mkdir(parents=True, exist_ok=True)
         files = {folder / f"{NAME}.{kind}": content for kind, content in contents.items()}
@@ -262,11 +263,3 @@ def _parquet(table: pa.Table) -> bytes:
     content = pa.BufferOutputStream()
     pq.write_table(table, content)
     return bytes(content.getvalue())
-
-
-def _picture(figure: Figure, kind: str) -> bytes:
-    from lierb.results.plots import save
-
-    content = BytesIO()
-    save(figure, content, kind)
-    return content.getvalue()

@@ -100,6 +100,13 @@ def save(figure: Figure, path: str | os.PathLike[str] | IO[bytes], kind: str) ->
         figure.savefig(path, format=kind, dpi=160, metadata=metadata)
 
 
+def picture(figure: Figure, kind: str) -> bytes:
+    """Return the content of a "png" or "svg" file of a figure."""
+    content = BytesIO()
+    save(figure, content, kind)
+    return content.getvalue()
+
+
 def drawable(errors: ArrayLike, least: float) -> NDArray[np.float64]:
     """Clip values to the range of a logarithmic axis, `least` to MOST."""
     return np.clip(errors, least, MOST)

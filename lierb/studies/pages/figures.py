@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from functools import partial
-from io import BytesIO
 from pathlib import Path
 
 from lierb.errors import require_name
@@ -22,7 +21,7 @@ from lierb.support.files import write_whole
 require("plot")
 from matplotlib.figure import Figure  # noqa: E402
 
-from lierb.results.plots import save  # noqa: E402
+from lierb.results.plots import picture  # noqa: E402
 
 KINDS: dict[str, Callable[[Results], Sheet]] = {
     "distribution": distribution_sheet,
@@ -108,8 +107,6 @@ def draw_all(dataset: Results, folder: Path) -> list[Path]:
     for name, drawn in figures(dataset):
         for kind in ("png", "svg"):
             path = folder / f"{name}.{kind}"
-            content = BytesIO()
-            save(drawn, content, kind)
-            write_whole(path, content.getvalue())
+            write_whole(path, picture(drawn, kind))
             written.append(path)
     return written

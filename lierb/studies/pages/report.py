@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import base64
-import io
 import shlex
 from collections.abc import Sequence
 from pathlib import Path
@@ -37,7 +36,7 @@ import jinja2  # noqa: E402
 from matplotlib.figure import Figure  # noqa: E402
 
 from lierb.results.panels import MOST_KEYS, panels_of  # noqa: E402
-from lierb.results.plots import save  # noqa: E402
+from lierb.results.plots import picture  # noqa: E402
 from lierb.studies.pages.explorer import WORST, explorer  # noqa: E402
 from lierb.studies.pages.figures import CAPTIONS, TITLES, omitted, sheets  # noqa: E402
 
@@ -158,9 +157,7 @@ def _motion(dataset: Results, ranking: Ranking) -> tuple[str, str] | None:
 
 def data_url(figure: Figure) -> str:
     """Return a figure as the URL of an image."""
-    file = io.BytesIO()
-    save(figure, file, "svg")
-    return "data:image/svg+xml;base64," + base64.b64encode(file.getvalue()).decode()
+    return "data:image/svg+xml;base64," + base64.b64encode(picture(figure, "svg")).decode()
 
 
 # ---- bodies ------------------------------------------------------------------------------------
