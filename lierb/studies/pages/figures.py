@@ -8,7 +8,6 @@ from pathlib import Path
 
 from lierb.errors import require_name
 from lierb.results.panels import Sheet, figure_of
-from lierb.studies.description.study import Study
 from lierb.studies.findings.columns import drawn_columns, ok_columns
 from lierb.studies.findings.symbols import labelled
 from lierb.studies.pages.over_bodies import distribution_sheet, parameter_sheet, quantity_sheet
@@ -55,20 +54,17 @@ TITLES = {  # of figures that may be left out
 
 def omitted(dataset: Results) -> dict[str, str]:
     """Return the figures that are left out, by name, and the reason."""
-    study = dataset.study
+    study, run, reasons = dataset.study, dataset.study.integrate, {}
+    if not run.saves:
+        reasons["time"] = "neither save_every nor save_at is set"
+    if run.is_adaptive:
+        reasons["order"] = "adaptive steps have no one size"
+    elif len(run.dt) < 2:
+        reasons["order"] = "there is one dt"
     rows = ok_columns(dataset, study.settings[0], list(drawn := drawn_columns(dataset)))
-    reasons = {
-        "time": (not study.integrate.saves, "neither save_every nor save_at is set"),
-        "order": _no_order(study),
-        "parameters": (not labelled(drawn, [rows], study)[0], "no numbers are sampled"),
-    }
-    return {name: why for name, (is_left_out, why) in reasons.items() if is_left_out}
-
-
-def _no_order(study: Study) -> tuple[bool, str]:
-    if study.integrate.is_adaptive:
-        return True, "adaptive steps have no one size"
-    return len(set(study.integrate.dt)) < 2, "there is one dt"
+    if not labelled(drawn, [rows], study)[0]:
+        reasons["parameters"] = "no numbers are sampled"
+    return reasons
 
 
 def sheets(dataset: Results, rank_by: str | None = None) -> Iterator[tuple[str, Sheet]]:
