@@ -165,29 +165,24 @@ def data_url(figure: Figure) -> str:
 
 def _worst(dataset: Results, ranking: Ranking) -> list[dict[str, Any]]:
     """Return the worst bodies, and their sampled numbers."""
-    drawn, worst = drawn_columns(dataset), []
+    drawn, worst = drawn_columns(dataset), list[dict[str, Any]]()
     unit = unit_of(dataset.table().schema.field(ranking.column))
     for setting in dataset.study.settings:
-        rows = ok_columns(dataset, setting, ["trajectory", ranking.column, *drawn])
-        values = rows[ranking.column]
-        worst += [
-            {"ranking": named(ranking.label, unit), "value": values[i], "setting": setting,
-             "trajectory": int(rows["trajectory"][i]),
-             "draws": {each.removeprefix("sample."): rows[each][i] for each in drawn}}
-            for i in ranking.order(values)[:WORST]
-        ]  # fmt: skip
-    order = ranking.order(np.array([each["value"] for each in worst]))
+        columns = ok_columns(dataset, setting, ["trajectory", ranking.column, *drawn])
+        for i in ranking.order(columns[ranking.column])[:WORST]:
+            worst.append(
+                {name: values[i] for name, values in columns.items()} | {"setting": setting}
+            )
+    order = ranking.order(np.array([row[ranking.column] for row in worst]))
     worst = [worst[i] for i in order[:WORST]]
-    shown = apart([each["value"] for each in worst])
-    draws = {name: _drawn([each["draws"][name] for each in worst]) for name in _names(worst)}
+    values = apart([row[ranking.column] for row in worst])
+    draws = {name.removeprefix("sample."): _drawn([row[name] for row in worst]) for name in drawn}
     return [
-        each | {"value": value, "draws": {name: texts[i] for name, texts in draws.items()}}
-        for i, (each, value) in enumerate(zip(worst, shown))
-    ]
-
-
-def _names(worst: list[dict[str, Any]]) -> list[str]:
-    return [*worst[0]["draws"]] if worst else []
+        {"ranking": named(ranking.label, unit), "value": values[i], "setting": row["setting"],
+         "trajectory": int(row["trajectory"]),
+         "draws": {name: texts[i] for name, texts in draws.items()}}
+        for i, row in enumerate(worst)
+    ]  # fmt: skip
 
 
 def _drawn(draws: list[Any]) -> list[str]:
