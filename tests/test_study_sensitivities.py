@@ -27,6 +27,7 @@ from lierb.studies.dataset import Dataset
 from lierb.studies.description.batches import batch_at
 from lierb.studies.description.differentiated import parameters_of
 from lierb.studies.description.quantiles import quantile_of
+from lierb.studies.description.sources import MANIFEST
 from lierb.studies.description.study import Study
 from lierb.studies.execution import cluster, running
 from lierb.studies.execution.foreseen import foreseen
@@ -37,7 +38,6 @@ from lierb.studies.findings.linear_theory import _shares, remarks
 from lierb.studies.storage.files import parquet_files
 from lierb.studies.storage.manifest import sealed
 from lierb.studies.storage.parts import HISTORY_BYTES, Part, bytes_of_derivatives, part_size
-from lierb.studies.storage.results import MANIFEST
 from lierb.studies.storage.store import Store
 
 RATE, STIFFNESS, INERTIA, T = "initial.velocities", "forces.wire.stiffness", "body.inertia", 1.0

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from lierb.cli.studies import SET, STUDY, Changes, UserPath
+from lierb.cli.studies import SET, STUDY_FILE, Changes, UserPath
 from lierb.cli.terminal import print_whole, progress_of_cases, wrapped
 from lierb.support.extras import require
 from lierb.support.files import folder_of
@@ -41,7 +41,7 @@ def _several(name: str, callback: Any, metavar: str, text: str) -> Any:
 
 
 @click.command()
-@STUDY
+@STUDY_FILE
 @SET
 @_several("--methods", _words, "NAME,…", "As RK4,DOP853.  [default: the study's]")
 @_several(

@@ -16,7 +16,7 @@ from lierb.errors import ArgumentError, StudyError
 from lierb.studies.description.changes import parsed, written
 from lierb.studies.description.shipped import example as text_of
 from lierb.studies.description.shipped import examples
-from lierb.studies.description.sources import as_file, folder_by
+from lierb.studies.description.sources import STUDY, as_file, folder_by, is_copied
 from lierb.support.collected_warnings import warnings_collected
 from lierb.support.extras import require
 from lierb.support.files import folder_of, naming, write_whole
@@ -28,9 +28,7 @@ if TYPE_CHECKING:
     from lierb.studies.description.study import Study
 
 Changes = dict[str, Any]
-FILE = "study.toml"  # lierb.studies.storage.results.STUDY, whose import is slow
 MOST_EVENTS = 20  # most printed events of a trajectory
-COPIED = "lierb.copied"  # key of a context: True if the study is from a pipe
 
 
 class UserPath(click.Path):
@@ -46,12 +44,10 @@ FOLDER = click.argument("folder", type=UserPath(exists=True, file_okay=False, pa
 
 def _readable(ctx: click.Context, _param: click.Parameter, given: Path) -> Path:
     """Return the path STUDY as a file that can be read repeatedly until the command ends."""
-    path = ctx.with_resource(as_file(given))
-    ctx.meta[COPIED] = path != given
-    return path
+    return ctx.with_resource(as_file(given))
 
 
-STUDY = click.argument(
+STUDY_FILE = click.argument(
     "study", callback=_readable,
     type=UserPath(exists=True, dir_okay=False, allow_dash=True, path_type=Path),
 )  # fmt: skip
@@ -111,7 +107,7 @@ RANK_BY = click.option(
 
 
 @click.command()
-@STUDY
+@STUDY_FILE
 @SET
 @click.option("--n", type=int, help="Number of bodies: as --set sample.n=N.")
 @click.option("--seed", type=int, help="Seed of the sampling: as --set sample.seed=SEED.")
@@ -212,8 +208,8 @@ def run(
 
 def _to_go_on(study: Path, changes: Changes, out: str | None, folder: Path) -> str:
     """Return the command that resumes a run; a study from a pipe is resumed from its folder."""
-    if click.get_current_context().meta[COPIED]:
-        return shlex.join(["lierb", "run", str(folder / FILE), "--out", str(folder), "--resume"])
+    if is_copied(study.parent):
+        return _again(folder, "--resume")
     options = [word for each in written(changes) for word in ("--set", each)]
     options += ["--out", str(folder)] if out is not None else []
     return shlex.join(["lierb", "run", str(study), *options, "--resume"])
@@ -294,7 +290,7 @@ def report_page(
 
 
 @click.command()
-@STUDY
+@STUDY_FILE
 @SET
 def predict(study: Path, changes: Changes) -> None:
     """Print which constraints of a STUDY's joints each configuration space keeps, and why.
@@ -378,7 +374,7 @@ def _show(dataset: Dataset, probabilities: tuple[float, ...]) -> None:
     if moved := dataset.manifest.get("moved"):
         click.secho(wrapped(f"{moved}."), fg="yellow")
     done, total = len(dataset.parts), dataset.manifest["asked"]
-    state = dataset.rest(f"the rest with: {_again(dataset, '--resume')}")
+    state = dataset.rest(f"the rest with: {_again(dataset.folder, '--resume')}")
     click.echo(f"{dataset.folder}: {done} of {total} parts{state}")
 
 
@@ -390,14 +386,13 @@ def _end_with_failures(dataset: Dataset) -> None:
     click.secho(str(failures), fg="red", bold=True)
     for remedy in failures.remedies:
         click.echo(wrapped(remedy))
-    replay = _again(dataset, "--only", str(failures.trajectory))
+    replay = _again(dataset.folder, "--only", str(failures.trajectory))
     click.echo(f"Replay trajectory {failures.trajectory}, with everything recorded:\n  {replay}")
 
 
-def _again(dataset: Dataset, *options: str) -> str:
+def _again(folder: Path, *options: str) -> str:
     """Return the command that runs the study of a folder into it."""
-    study, folder = str(dataset.folder / FILE), str(dataset.folder)
-    return shlex.join(["lierb", "run", study, "--out", folder, *options])
+    return shlex.join(["lierb", "run", str(folder / STUDY), "--out", str(folder), *options])
 
 
 @click.command()

@@ -14,7 +14,7 @@ from lierb.errors import ArgumentError, brief
 
 STDIN = "-"
 NAMELESS = ("/dev/", "/proc/")
-COPY = "study.toml"
+STUDY, MANIFEST = "study.toml", "manifest.json"  # in a folder with results
 COPIED = "lierb-study-"  # prefix of the temporary folder of a copy
 LONGEST_STUDY = 4 * 2**20  # most bytes of a study's file: 200 000 numbers with all digits
 
@@ -33,7 +33,7 @@ def name_of(path: Path) -> str:
     """Return the name of a study by its file; in a folder of results, that in the manifest."""
     with suppress(OSError, ValueError, RecursionError, LookupError, TypeError):
         if is_of_results(path):
-            return str(json.loads(_manifest(path).read_bytes())["study"]["name"])
+            return str(json.loads(path.with_name(MANIFEST).read_bytes())["study"]["name"])
     return path.stem
 
 
@@ -44,11 +44,7 @@ def folder_by(path: Path) -> str:
 
 def is_of_results(path: Path) -> bool:
     """Return True for the study.toml of a folder with results."""
-    return path.name == COPY and _manifest(path).is_file()
-
-
-def _manifest(path: Path) -> Path:
-    return path.parent / "manifest.json"
+    return path.name == STUDY and path.with_name(MANIFEST).is_file()
 
 
 @contextmanager
@@ -65,7 +61,7 @@ def as_file(path: Path) -> Iterator[Path]:
     with nullcontext(sys.stdin.buffer) if str(path) == STDIN else path.open("rb") as source:
         content = source.read(LONGEST_STUDY + 1)
     with TemporaryDirectory(prefix=COPIED) as folder:
-        copy = Path(folder) / COPY
+        copy = Path(folder) / STUDY
         copy.write_bytes(content)
         yield copy
 

@@ -18,10 +18,10 @@ import numba
 
 from lierb.errors import StudyError, StudyWarning
 from lierb.runs.provenance import machine
+from lierb.studies.description.sources import STUDY
 from lierb.studies.description.study import Study
 from lierb.studies.storage.files import File, Stored, parquet_files
 from lierb.studies.storage.parts import Part
-from lierb.studies.storage.results import STUDY
 from lierb.studies.storage.store import Store
 from lierb.support.extras import remedy, require
 

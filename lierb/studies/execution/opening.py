@@ -12,12 +12,11 @@ from lierb.runs.provenance import machine
 from lierb.studies.description.batches import check_draws
 from lierb.studies.description.changes import written
 from lierb.studies.description.messages import Given, at_lines
-from lierb.studies.description.sources import as_file, path_given
+from lierb.studies.description.sources import STUDY, as_file, path_given
 from lierb.studies.description.study import Study
 from lierb.studies.storage.files import part_named
 from lierb.studies.storage.manifest import file_of
 from lierb.studies.storage.parts import Parts
-from lierb.studies.storage.results import STUDY
 from lierb.studies.storage.store import Store
 
 MOST_DIFFERENCES = 5  # most differences between two studies that are listed

@@ -16,6 +16,7 @@ from lierb.errors import LierbError
 from lierb.results.columns import as_array, unit_of
 from lierb.studies.description.quantiles import BASIS, CONFIDENCE, PROBABILITIES, percent
 from lierb.studies.description.settings import Setting
+from lierb.studies.description.sources import STUDY
 from lierb.studies.description.study import Study
 from lierb.studies.findings import findings
 from lierb.studies.findings.columns import drawn_columns, ok_columns
@@ -26,7 +27,7 @@ from lierb.studies.findings.tables import form_of, named, shares_of, with_interv
 from lierb.studies.pages.replays import chosen, description_of, replayed
 from lierb.studies.storage.parts import Parts
 from lierb.studies.storage.replaying import call_of
-from lierb.studies.storage.results import IS_SUCCESS, STUDY, Results, setting_columns
+from lierb.studies.storage.results import IS_SUCCESS, Results, setting_columns
 from lierb.support.extras import require
 from lierb.support.files import require_page, write_whole
 from lierb.support.representations import apart, rounded

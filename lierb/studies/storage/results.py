@@ -19,13 +19,12 @@ from lierb.errors import LierbError, StudyError
 from lierb.results.failures import COLUMNS, SUCCESSES, Failures
 from lierb.studies.description.code import Code, read_code
 from lierb.studies.description.settings import Setting
+from lierb.studies.description.sources import MANIFEST, STUDY
 from lierb.studies.description.study import Study
 from lierb.studies.storage.manifest import Manifest, file_of, read_manifest
 from lierb.support.files import RESUME, as_it_is, folder_of, sha256_of
 from lierb.support.representations import Represented
 
-MANIFEST = "manifest.json"
-STUDY = "study.toml"
 IS_SUCCESS = pc.field("status").isin(SUCCESSES)  # rows of trajectories that ended as they should
 
 

@@ -17,11 +17,12 @@ from lierb.errors import StudyError, StudyFileError
 from lierb.runs.provenance import machine
 from lierb.studies.description.code import FILE, Code, sha256_of_text
 from lierb.studies.description.moved_starts import moved_start
+from lierb.studies.description.sources import MANIFEST, STUDY
 from lierb.studies.description.study import Study
 from lierb.studies.description.study_tables import TABLES
 from lierb.studies.storage.files import File, Stored, parquet_in
 from lierb.studies.storage.manifest import FORMAT, PART, sealed
-from lierb.studies.storage.results import MANIFEST, STUDY, Results
+from lierb.studies.storage.results import Results
 from lierb.support.files import (
     KEPT,
     TEMPORARY,
