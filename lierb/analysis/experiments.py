@@ -91,10 +91,7 @@ def of_experiments(base: Varied, experiments: int, count: int) -> Varied:
             f"{counted(count, 'trajectory', 'trajectories')}, and the problem with its start "
             f"{own}; expected one for all{several}, or {whole}"
         )
-    if own == 1 or own == whole:
-        tiled = np.arange(whole) if own == whole else np.zeros(whole, dtype=np.int64)
-    else:
-        tiled = np.tile(np.arange(count), experiments)
+    tiled = np.arange(whole) % own
     size = base.model.batch_size() or 1
     model = base.model if size in (1, whole) else base.model.part(tiled)
     return Varied(

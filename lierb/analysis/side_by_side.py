@@ -87,10 +87,9 @@ class Experiments:
     def _grouped(self, array: Array, shape: tuple[int, ...]) -> Array:
         if array.ndim == len(shape):
             array = array[None]
-        groups = -1 if len(array) > 1 else 1
         if len(array) == 1:
             array = np.broadcast_to(array, (self.count, *shape))
-        return np.asarray(array.reshape(groups, self.count, *shape))
+        return np.asarray(array.reshape(-1, self.count, *shape))
 
     def varied(self, members: Members, point: State) -> Varied:
         """Return model and start of some experiments at their points."""
