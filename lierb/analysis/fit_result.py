@@ -137,10 +137,8 @@ class Fit(Estimates):
 
         Without sigma nothing is known of the noise.
         """
-        if not self.has_sigma or self.freedoms <= 0:
-            return ""
         reduced = self.reduced_chi2
-        if not is_misfit(reduced, self.freedoms):
+        if not (self.has_sigma and is_misfit(reduced, self.freedoms)):
             return ""
         bounded = "".join(
             f"{label} is at its {side} bound, which may be wrong.\n"

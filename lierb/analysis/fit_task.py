@@ -51,7 +51,7 @@ class Task:
             ]
             raise ArgumentError(
                 "the run of the guess is not finite at all times of the data"
-                f"{early[0] if early else ''}; give a better guess"
+                f"{''.join(early[:1])}; give a better guess"
             )
         return result
 
@@ -156,9 +156,8 @@ class Task:
     def jacobian(self, x: Array) -> Array:
         """Return the derivatives of the weighted residuals by the coordinates."""
         at_base = np.array_equal(x, self.unknowns.base)
-        result = (
-            self.at_base if at_base else self.runs.result(self.varied(x), self.variation.parameters)
-        )
+        parameters = self.variation.parameters
+        result = self.at_base if at_base else self.runs.result(self.varied(x), parameters)
         jacobian = self._by_coordinates(result, x)
         return np.concatenate([jacobian, np.diag(self.pull)]) if len(self.pull) else jacobian
 
@@ -200,10 +199,8 @@ class Task:
         rows[:, : unknowns.shared] = unknowns.follow.by_unknowns(numbers)
         if not starts:
             return
-        moved, places = (
-            np.concatenate(starts, -1),
-            np.cumsum(column.present).reshape(column.present.shape),
-        )
+        moved = np.concatenate(starts, -1)
+        places = np.cumsum(column.present).reshape(column.present.shape)
         pairs = zip(unknowns.bases, unknowns.start_slices, strict=True)
         for i, (basis, part) in enumerate(pairs):
             chosen = column.present[:, i]

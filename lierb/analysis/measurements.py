@@ -56,11 +56,8 @@ class Measured:
     def scaled(self) -> Array:
         """Return the values over sigma that are present, (samples,)."""
         values = self.values.reshape(*self.values.shape[:2], -1)
-        values = (
-            values / self.sigma
-            if values.shape[-1] == self.quantity.width
-            else values / self.sigma.min()
-        )
+        is_vector = values.shape[-1] == self.quantity.width
+        values = values / (self.sigma if is_vector else self.sigma.min())
         return values[np.isfinite(values)]
 
     def difference(self, result: Result) -> Array:
@@ -107,7 +104,9 @@ class Measurements:
 
 def measurements(model: Model, data: Any, sigma: Any) -> Measurements:
     """Read and check the data of a fit.   sigma : standard deviations by column, or None."""
-    several = _several(data)
+    several = data if isinstance(data, (list, tuple)) else [data]
+    if not several:
+        raise ArgumentError(f"data is empty; expected {EXPECTED}")
     labels = ["data"] if len(several) == 1 else [f"data[{i}]" for i in range(len(several))]
     components = _components(model)
     tables = [_columns(*each, components) for each in zip(labels, several, strict=True)]
@@ -140,14 +139,6 @@ def measurements(model: Model, data: Any, sigma: Any) -> Measurements:
         listed = ", ".join(f"{c.quantity.name} has {c.values.shape[1]}" for c in columns)
         raise ArgumentError(f"data: columns differ in their number of trajectories: {listed}")
     return Measurements(t, tuple(columns), counts.pop(), sigma is not None, tuple(lengths))
-
-
-def _several(data: Any) -> Sequence[Any]:
-    if isinstance(data, (list, tuple)):
-        if not data:
-            raise ArgumentError(f"data is empty; expected {EXPECTED}")
-        return data
-    return [data]
 
 
 def _columns(label: str, given: Any, components: Mapping[str, Sequence[str]]) -> dict[str, Any]:
@@ -304,11 +295,8 @@ def _sigma(name: str, given: Any, quantity: Quantity) -> Array:
             "or sigma=None for weights of 1"
         )
     sigma = as_floats(f"sigma[{name!r}]", given[name])
-    if (
-        sigma.shape not in ((), (quantity.width,))
-        or not np.all(sigma > 0.0)
-        or np.isinf(sigma).any()
-    ):
+    fits = sigma.shape in ((), (quantity.width,))
+    if not (fits and np.all((sigma > 0.0) & (sigma < np.inf))):
         raise ArgumentError(
             f"sigma[{name!r}]={brief(given[name])}; expected a positive number, or "
             f"{quantity.width} of them, {quantity.unit}"

@@ -168,7 +168,7 @@ class Experiments:
         result = self._runs(members, not steps.any()).result(
             variation.base, variation.parameters, has_tables=False
         )
-        if self.most_steps is None and "steps" in result.summary.column_names:
+        if self.most_steps is None:
             self.most_steps = self.runs.most_steps(result.summary)
         factors, is_whole = self._factors(members, result, unknowns)
         chi2 = np.where(is_whole, np.sum(factors[..., -1] ** 2, axis=-1), np.inf)

@@ -51,10 +51,8 @@ class Runs(NamedTuple):
 
     def most_steps(self, summary: pa.Table) -> int | None:
         """Return MOST_STEPS times the attempted steps of a run; None if steps are not adaptive."""
-        is_adaptive = any(self.keywords.get(name) is not None for name in ("rtol", "atol"))
-        if "steps" not in summary.column_names or not is_adaptive:
-            return None
-        if self.keywords.get("max_steps") is not None:
+        given = {name for name, value in self.keywords.items() if value is not None}
+        if "max_steps" in given or not given & {"rtol", "atol"}:
             return None
         steps = as_array(summary["steps"]) + as_array(summary["rejected"])
         return MOST_STEPS * (int(steps.max()) + 10)
@@ -76,12 +74,9 @@ def runs_of(
 def _end_of(name: str, times: Array, t0: Any, t_end: Any, keywords: dict[str, Any]) -> float:
     """Return the end of runs that save these times, by default the last of them."""
     start, last = checked_time("t0", t0, after=-math.inf), float(times[-1])
-    if t_end is not None:
-        end = checked_time("t_end", t_end, after=start)
-    elif last <= start:
+    if t_end is None and last <= start:
         raise TimeGridError(f"{name} ends at {last!r} s; expected a time later than t0={start!r} s")
-    else:
-        end = last
+    end = last if t_end is None else checked_time("t_end", t_end, after=start)
     checked_within(name, times, start, end)
     if t_end is None and all(keywords.get(each) is None for each in ("rtol", "atol")):
         step = checked_time("dt", keywords["dt"])
