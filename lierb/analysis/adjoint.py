@@ -167,9 +167,13 @@ def gradient(
     keywords |= {"t0": t0, "t_end": t_end, "statistics": False}
     prepared = ready(model, Options.of(model, **keywords), pose0, twist0)
     parameters = tuple(_all(prepared)) if chosen is None else chosen
-    reasons = (*obstacles(prepared), *unfit_names(prepared, parameters), *_obstacles(prepared))
-    for obstacle in reasons:
+    for obstacle in (*obstacles(prepared), *unfit_names(prepared, parameters)):
         raise ArgumentError(f"lierb.gradient: {obstacle}")
+    if prepared.before is not None:
+        raise ArgumentError(
+            "lierb.gradient: the start is the end of another run, from which an adjoint does not "
+            "go back; begin with a copy of its poses, pose0=pose0.copy()"
+        )
     number = _number(model, of)
     if prepared.plan.is_in_memory:
         return _along_directions(model, of, parameters, keywords, pose0, twist0, threads, progress)
@@ -220,15 +224,6 @@ def _number(model: Model, of: Any) -> int:
     if not (isinstance(of, str) and of in (*names, *ends)):
         raise unknown_name("of", of, [*names, *ends])
     return END_TIME if of == "t" else names.index(of)
-
-
-def _obstacles(prepared: Ready) -> Iterator[str]:
-    """Yield the reasons why a run has no adjoint, beside those for derivatives."""
-    if prepared.before is not None:
-        yield (
-            "the start is the end of another run, from which an adjoint does not go back; begin "
-            "with a copy of its poses, pose0=pose0.copy()"
-        )
 
 
 def _along_directions(
