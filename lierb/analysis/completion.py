@@ -223,10 +223,10 @@ def _reliable(solutions: list[Array], margins: Array) -> list[Array]:
 def null_space(jac: Array) -> tuple[Array, float]:
     """Return a basis of the null space, (k, columns), and the least nonzero singular value.
 
-    Rows have length 1 or 0.
+    Rows have length 1 at most.
     """
     _, sizes, vectors = np.linalg.svd(np.vstack([jac, np.zeros((1, jac.shape[1]))]))
-    counted = sizes[sizes > RANK_TOLERANCE * max(1.0, *sizes)]
+    counted = sizes[sizes > RANK_TOLERANCE * sizes.max(initial=1.0)]
     return vectors[len(counted) :], float(counted.min(initial=1.0))
 
 
@@ -270,9 +270,7 @@ def group_name(cspace: str, algebra: Array) -> str:
 
 def _pure_translations(algebra: Array) -> Array:
     """Return a basis, (k, 3), of the velocities without rotation."""
-    turning = algebra[:, :3]
-    _, sizes, mixed = np.linalg.svd(turning.T, full_matrices=True)
-    without_turn = mixed[int((sizes > RANK_TOLERANCE).sum()) :]
+    without_turn, _ = null_space(algebra[:, :3].T)
     return row_space(without_turn @ algebra[:, 3:])
 
 

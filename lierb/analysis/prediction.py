@@ -114,9 +114,9 @@ class MechanismPredictions(dict[str, JointPredictions]):
     """Hold the JointPredictions for each c-space, and print as a table, joint by joint."""
 
     def __str__(self) -> str:
-        names = list(next(iter(self.values())))
-        rows = [(name, *_table_row(joints[name])) for name in names for joints in self.values()]
-        return _table(("joint", *HEAD), rows)
+        return _table(
+            ("joint", *HEAD), [(name, *_table_row(p)) for name, p in joint_by_joint(self)]
+        )
 
     __repr__ = __str__
 
