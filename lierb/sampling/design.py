@@ -135,11 +135,6 @@ class Design:
         """Return the number of points of the Sobol sequence."""
         return self.n // (len(self.drawn) + 2) if self.method == "saltelli" else self.n
 
-    @property
-    def _coordinates(self) -> int:
-        """Return the number of coordinates of each point."""
-        return self.dimension * (2 if self.method == "saltelli" else 1)
-
     def draw(self, first: int = 0, count: int | None = None) -> dict[str, Array]:
         """Draw the values of bodies first, first + 1, …, first + count − 1.
 
@@ -239,7 +234,8 @@ class Design:
 
     @cached_property
     def _sobol(self) -> Sobol:
-        return Sobol(self.seed, self._points, self._coordinates)
+        draws = 2 if self.method == "saltelli" else 1
+        return Sobol(self.seed, self._points, draws * self.dimension)
 
 
 def _whole(argument: str, value: Any, low: int, high: int) -> int:
