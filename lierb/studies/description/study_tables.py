@@ -143,8 +143,6 @@ class StudyTables(Section):
             for key in keys:
                 if table[key] in (None, [], {}):
                     del table[key]
-        if self.sample.stop_when is None:
-            del tables["sample"]["stop_when"]
         if self.code:
             tables["code"] = self.code_digests
         return sha256_of_text(json.dumps(tables, sort_keys=True))
@@ -152,14 +150,11 @@ class StudyTables(Section):
 
 def _later_keys(tables: dict[str, Any]) -> Iterator[tuple[dict[str, Any], tuple[str, ...]]]:
     """Yield tables with keys of later versions, which change the digest only if set."""
-    for section in ("problem", "sample"):
-        yield tables[section], ELEMENTS[1:]
-    yield tables["problem"], LINKS_AND_LOOPS
+    yield tables["problem"], (*ELEMENTS[1:], *LINKS_AND_LOOPS)
+    yield tables["sample"], (*ELEMENTS[1:], "stop_when")
     yield tables["initial"], ("close", "hold")
     yield tables["integrate"], ("stabilise", "sensitivities", *NEW_KEYS)
-    for key in ("body", "joint"):
-        if tables[key] is None:
-            yield tables, (key,)
+    yield tables, ("body", "joint")
     for table in ELEMENTS:
         for element in tables["problem"].get(table, []):
             yield element, ("on",)
@@ -170,18 +165,14 @@ def _later_keys(tables: dict[str, Any]) -> Iterator[tuple[dict[str, Any], tuple[
             yield each["body"], ("about",)
 
 
-def _with_defaults(tables: Any) -> Any:
+def _with_defaults(tables: dict[str, Any]) -> dict[str, Any]:
     """Add the c-space of a mechanism, "reduced", and the method of adaptive steps."""
-    match tables:
-        case {"integrate": {**run}}:
-            match tables:
-                case {"problem": {"links": [_, *_]}}:
-                    has_links = True
-                case _:
-                    has_links = False
-            defaults = dict(_dependent(has_links, bool({"rtol", "atol"} & run.keys())))
-            return tables | {"integrate": defaults | run}
-    return tables
+    run, problem = tables.get("integrate"), tables.get("problem")
+    if not isinstance(run, dict):
+        return tables
+    has_links = isinstance(problem, dict) and bool(problem.get("links"))
+    defaults = dict(_dependent(has_links, bool({"rtol", "atol"} & run.keys())))
+    return tables | {"integrate": defaults | run}
 
 
 def _dependent(has_links: bool, is_adaptive: bool) -> tuple[tuple[str, list[str]], ...]:
