@@ -9,7 +9,6 @@ from typing import Any
 from lierb.errors import StudyError
 from lierb.runs.time_options import MOST_SEED
 from lierb.sampling import Design
-from lierb.studies.description.batches import Batch
 from lierb.studies.description.changes import index_of, path_of
 from lierb.studies.description.sections.running import IntegrateSection
 from lierb.studies.description.sections.sampling import OF_MECHANISM, RESERVED
@@ -90,12 +89,6 @@ def check_seed(study: StudyTables) -> None:
             f"sample.seed: is {study.sample.seed}; expected less than 2**53 with controllers, "
             "whose noise is drawn by it"
         )
-
-
-def check_start(batch: Batch, t0: float) -> None:
-    """Raise LierbError for poses and twists that violate the constraints at t0, s."""
-    if error := batch.problem.violation(batch.pose0, batch.twist0, t0):
-        raise error
 
 
 def check_settings(run: IntegrateSection) -> None:

@@ -8,6 +8,7 @@ from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from difflib import get_close_matches
+from functools import reduce
 from typing import Any, get_args
 
 from pydantic import BaseModel, ValidationError
@@ -101,7 +102,7 @@ def messages(
 def _message(error: Any, model: type[BaseModel], tables: dict[str, Any], given: Given) -> str:
     """Format one of pydantic's errors as a line: place, key, error, input."""
     path = tuple(error["loc"])
-    while path and not _leads_somewhere(path, tables) and error["type"] != "missing":
+    while path and reduce(_item, path, tables) is None and error["type"] != "missing":
         path = path[:-1]  # pydantic adds the names of the alternatives that it tried
     key = ".".join(_named(path, tables))
     what = error["msg"][0].lower() + error["msg"][1:]
@@ -123,21 +124,17 @@ def _message(error: Any, model: type[BaseModel], tables: dict[str, Any], given: 
 def _named(path: tuple[Any, ...], tables: Any) -> Iterator[str]:
     """Yield the parts of a path; links, loops and elements with a name have it for their number."""
     for part in path:
-        try:
-            tables = tables[part]
-        except (KeyError, IndexError, TypeError):
-            tables = None
+        tables = _item(tables, part)
         name = tables.get("name") if isinstance(part, int) and isinstance(tables, dict) else None
         yield name if isinstance(name, str) else str(part)
 
 
-def _leads_somewhere(path: tuple[Any, ...], tables: Any) -> bool:
-    for part in path:
-        try:
-            tables = tables[part]
-        except (KeyError, IndexError, TypeError):
-            return False
-    return True
+def _item(tables: Any, part: Any) -> Any:
+    """Return an entry of tables or a list, which is never None; None if there is none."""
+    try:
+        return tables[part]
+    except (KeyError, IndexError, TypeError):
+        return None
 
 
 def _fields_at(model: Any, path: tuple[Any, ...]) -> list[str]:

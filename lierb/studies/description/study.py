@@ -175,7 +175,8 @@ class Study(Represented, StudyTables):
             checks.check_stopping(design)
         checks.check_labels(self)
         with at("initial"), np.errstate(all="ignore"):
-            checks.check_start(batch, self.integrate.t0)
+            if error := batch.problem.violation(batch.pose0, batch.twist0, self.integrate.t0):
+                raise error
         for setting in self.settings:
             with at("integrate", (*NEW_KEYS, "save_every", differentiated.KEY)):
                 options = self.options(setting, batch.problem)
