@@ -58,7 +58,7 @@ class Named(NamedTuple):
 
 def named(kind: str) -> Named | None:
     """Parse a type that refers to a file; None for another type."""
-    if not re.match(PATTERN, kind) or "\n" in kind:
+    if not re.fullmatch(PATTERN, kind):
         return None
     return Named(*kind.removeprefix(PREFIX).split(":"))
 

@@ -19,7 +19,7 @@ class Section(BaseModel):
 
     def given(self) -> dict[str, Any]:
         """Return the keys that are set, with their values."""
-        return {k: v for k, v in self.model_dump().items() if v is not None}
+        return self.model_dump(exclude_none=True)
 
 
 def _as_list(value: Any) -> Any:

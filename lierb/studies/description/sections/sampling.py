@@ -67,8 +67,8 @@ class SampleSection(BaseModel):
             known = _known_keys(section)
             for key, value in table.items():
                 path = f"sample.{section}.{key}"
-                if path in distributions or (known is not None and key not in known):
-                    raise StudyError(f"{path}: unknown key{suggestion(key, list(known or ()))}")
+                if known is not None and key not in known:
+                    raise StudyError(f"{path}: unknown key{suggestion(key, [*known])}")
                 distributions[f"{section}.{key}"] = distribution_of(path, value)
         return dict(sorted(distributions.items()))  # tables have no order
 
