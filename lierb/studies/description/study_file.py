@@ -10,7 +10,7 @@ import io
 import re
 import tomllib
 import unicodedata
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
@@ -238,7 +238,9 @@ class _Plain:
             case np.timedelta64():
                 pass  # NumPy counts it as an integer
             case int() | np.integer():
-                return self._whole(int(given), path)
+                if abs(int(given)) > LARGEST:
+                    raise StudyError(f"{_key(path)}: {_TOO_LARGE_NUMBER}")
+                return int(given)
             case float() | np.floating():
                 return float(given) + 0.0
             case str():
@@ -249,7 +251,8 @@ class _Plain:
                     return [each + 0.0 for each in given]
                 return [self.value(each, (*path, str(n))) for n, each in enumerate(given)]
             case Mapping():
-                return dict(self._items(given.items(), path))
+                named = ((_checked_key(key, path), value) for key, value in given.items())
+                return {k: self.value(v, (*path, k)) for k, v in named if v is not None}
             case Distribution():
                 return self.value(_table_of(given, path), path)
             case np.ndarray():
@@ -268,23 +271,12 @@ class _Plain:
         if self.left < 0:
             raise StudyError(f"{_key(path)}: the study is {TOO_LARGE}")
 
-    def _items(self, items: Any, path: tuple[str, ...]) -> Iterator[tuple[str, Any]]:
-        for key, value in items:
-            name = _checked_key(key, path)
-            if value is not None:
-                yield name, self.value(value, (*path, name))
-
     def _array(self, given: Any, path: tuple[str, ...]) -> Any:
         self._take(given.size, path)
         self.left += given.size
         if np.ma.is_masked(given):
             raise StudyError(f"{_key(path)}: is an array with masked entries; expected numbers")
         return self.value(given.tolist(), path)
-
-    def _whole(self, given: int, path: tuple[str, ...]) -> int:
-        if abs(given) > LARGEST:
-            raise StudyError(f"{_key(path)}: {_TOO_LARGE_NUMBER}")
-        return given
 
 
 def _checked_text(given: str, path: tuple[str, ...]) -> str:
