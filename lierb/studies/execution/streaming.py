@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from itertools import chain
 from pathlib import Path
 
 import pyarrow as pa
@@ -67,10 +68,9 @@ def integrate_batches(
             '"events" of a problem with events'
         )
     design, parts, rule = given.design, Parts(given), given.stopping_rule
-    seen: Failures | None = None
 
     def made() -> Iterator[pa.Table]:
-        nonlocal seen
+        seen: Failures | None = None
         bodies: dict[Setting, Bodies] = {}
         for part in parts:
             if rule is not None:
@@ -84,14 +84,9 @@ def integrate_batches(
             if rule is not None:
                 known.add(tables["summary"])
             yield tables[table]
+        warn_of(seen, REPLAY, stacklevel=4)
 
     tables = made()
     first = next(tables)
-
-    def batches() -> Iterator[pa.RecordBatch]:
-        yield from first.to_batches()
-        for each in tables:
-            yield from each.to_batches()
-        warn_of(seen, REPLAY, stacklevel=3)
-
-    return pa.RecordBatchReader.from_batches(first.schema, batches())
+    batches = (batch for each in chain([first], tables) for batch in each.to_batches())
+    return pa.RecordBatchReader.from_batches(first.schema, batches)
