@@ -99,7 +99,8 @@ def percentiles_over_time(
     schema = history.schema
     scalar = [f.name for f in schema if pa.types.is_float64(f.type) and f.name not in NO_RESULTS]
     require_name("name", name, scalar)
-    rows = rows_of(setting) & ~pc.field("trajectory").isin(_failed(dataset, setting))
+    failed = dataset.table().to_table(columns=["trajectory"], filter=rows_of(setting) & ~IS_SUCCESS)
+    rows = rows_of(setting) & ~pc.field("trajectory").isin(failed["trajectory"])
     times = _times(dataset, setting)
     most = max(1, MOST_NUMBERS // max(1, history.count_rows(filter=rows) // max(1, len(times))))
     steps, quantiles, counts = list(times), [], []
@@ -125,12 +126,6 @@ def percentiles_over_time(
     ]
     arrays = [steps, [times[step] for step in steps], counts, *columns]
     return pa.table([pa.array(a) for a in arrays], schema=pa.schema(fields))
-
-
-def _failed(dataset: Results, setting: Setting) -> pa.ChunkedArray:
-    """Return the numbers of the bodies that failed in a setting."""
-    failed = dataset.table().to_table(columns=["trajectory"], filter=rows_of(setting) & ~IS_SUCCESS)
-    return failed["trajectory"]
 
 
 def _times(dataset: Results, setting: Setting) -> dict[int, float]:
