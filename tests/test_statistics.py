@@ -29,10 +29,16 @@ from lierb.studies.description.settings import Setting
 from lierb.studies.description.stopping import Bodies, Rule
 from lierb.studies.description.study import Study
 from lierb.studies.execution import cluster
-from lierb.studies.findings.findings import SettingErrors, findings, indices, quantities
+from lierb.studies.findings.findings import SettingErrors, findings
 from lierb.studies.findings.occurrences import Occurred
 from lierb.studies.findings.sizes import ERRORS, errors_seen
-from lierb.studies.findings.statistics import Sensitivity, Spread, percentiles_over_time
+from lierb.studies.findings.statistics import (
+    Sensitivity,
+    Spread,
+    indices,
+    percentiles_over_time,
+    quantities,
+)
 from lierb.studies.findings.tables import (
     table_of,
     table_of_events,

@@ -33,8 +33,7 @@ from lierb.studies.execution import cluster, running
 from lierb.studies.execution.foreseen import foreseen
 from lierb.studies.execution.replaying import compile_for, replay
 from lierb.studies.findings.along_parameters import AlongParameters
-from lierb.studies.findings.findings import linear_theories
-from lierb.studies.findings.linear_theory import _shares, remarks
+from lierb.studies.findings.linear_theory import _shares, linear_theories, remarks
 from lierb.studies.storage.files import parquet_files
 from lierb.studies.storage.manifest import sealed
 from lierb.studies.storage.parts import HISTORY_BYTES, Part, bytes_of_derivatives, part_size

@@ -29,7 +29,8 @@ from lierb.studies.description.times import saved_times
 from lierb.studies.description.units import unit_of
 from lierb.studies.execution import cluster
 from lierb.studies.execution.replaying import compile_for, replay
-from lierb.studies.findings.findings import crossings, findings
+from lierb.studies.findings.findings import findings
+from lierb.studies.findings.occurrences import crossings
 from lierb.studies.findings.statistics import percentiles_over_time
 from lierb.studies.storage.parts import LABEL_BYTES, bytes_of_body, part_size, saved_rows
 from lierb.studies.storage.store import Store

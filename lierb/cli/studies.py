@@ -351,17 +351,17 @@ def _report(
 
 def _show(dataset: Dataset, probabilities: tuple[float, ...]) -> None:
     from lierb.studies.description.quantiles import BASIS
-    from lierb.studies.findings import findings, linear_theory, tables
+    from lierb.studies.findings import findings, linear_theory, occurrences, statistics, tables
 
     shown = [
         tables.table_of(findings.findings(dataset)),
-        tables.table_of_quantities(findings.quantities(dataset, probabilities)),
+        tables.table_of_quantities(statistics.quantities(dataset, probabilities)),
     ]
-    if events := findings.crossings(dataset, probabilities):
+    if events := occurrences.crossings(dataset, probabilities):
         shown.append(tables.table_of_events(events, dataset.study.integrate.t_end))
-    if indices := findings.indices(dataset):
+    if indices := statistics.indices(dataset):
         shown.append(tables.table_of_indices(indices))
-    if theory := findings.linear_theories(dataset, probabilities):
+    if theory := linear_theory.linear_theories(dataset, probabilities):
         shown.append(tables.table_of_linear_theory(theory))
     for n, table in enumerate(shown):
         if n:

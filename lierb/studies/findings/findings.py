@@ -13,16 +13,9 @@ from lierb.results.failures import has_failed
 from lierb.studies.description.quantiles import quantile_of
 from lierb.studies.description.settings import Setting
 from lierb.studies.findings.columns import rows_of
-from lierb.studies.findings.linear_theory import linear_theories
-from lierb.studies.findings.occurrences import crossings
 from lierb.studies.findings.sizes import ERRORS, sizes_of
-from lierb.studies.findings.statistics import indices, quantities
 from lierb.studies.storage.results import Results
 from lierb.support.arrays import Array
-
-__all__ = [
-    "SettingErrors", "crossings", "findings", "indices", "linear_theories", "orders", "quantities",
-]  # fmt: skip
 
 LABELS = {"position": "position, m", "rotation": "rotation", "energy": "energy, J"}
 QUANTILES = (0.5, 0.95)  # of a setting's errors, beside the largest one

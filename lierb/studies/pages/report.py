@@ -18,9 +18,10 @@ from lierb.studies.description.quantiles import BASIS, CONFIDENCE, PROBABILITIES
 from lierb.studies.description.settings import Setting
 from lierb.studies.description.sources import STUDY
 from lierb.studies.description.study import Study
-from lierb.studies.findings import findings
+from lierb.studies.findings import findings, statistics
 from lierb.studies.findings.columns import drawn_columns, ok_columns
-from lierb.studies.findings.linear_theory import remarks
+from lierb.studies.findings.linear_theory import linear_theories, remarks
+from lierb.studies.findings.occurrences import crossings
 from lierb.studies.findings.ranking import Ranking, rankings
 from lierb.studies.findings.sizes import errors_seen
 from lierb.studies.findings.tables import form_of, named, shares_of, with_interval
@@ -93,7 +94,7 @@ def _values(
     options = "" if rank_by is None else f" --rank-by={rank_by}"
     if tuple(probabilities) != PROBABILITIES:
         options += f" --quantiles={','.join(each.rstrip('%') for each in percents)}"
-    theory = findings.linear_theories(dataset, probabilities)
+    theory = linear_theories(dataset, probabilities)
     return {
         "study": study,
         "text": dataset.study_text() or study.to_toml(),
@@ -113,9 +114,9 @@ def _values(
         "labels": {k: label for k, label in findings.LABELS.items() if k in (*kinds, "energy")},
         "errors": findings.findings(dataset),
         "basis": BASIS.get(study.sample.method, ""),
-        "quantities": findings.quantities(dataset, probabilities),
-        "events": findings.crossings(dataset, probabilities),
-        "indices": findings.indices(dataset),
+        "quantities": statistics.quantities(dataset, probabilities),
+        "events": crossings(dataset, probabilities),
+        "indices": statistics.indices(dataset),
         "theory": theory,
         "remarks": remarks(theory),
         "figures": list(sheets(dataset, rank_by)),
