@@ -93,15 +93,15 @@ def index_of(items: Sequence[Any], part: str, of: str) -> int:
     """Return the index of an item by its number, name or type.   of : key of the list."""
     if part.isdecimal() and int(part) < len(items):
         return int(part)
-    names = [
-        str(item.get("name") or str(item.get("type")).rpartition(":")[2])
-        if isinstance(item, dict)
-        else str(n)
-        for n, item in enumerate(items)
-    ]
+    names = [label_of(x) if isinstance(x, dict) else str(n) for n, x in enumerate(items)]
     if part not in names:
         raise StudyError(f"{of}.{part}: there is none; known: {', '.join(names)}")
     return names.index(part)
+
+
+def label_of(table: Mapping[str, Any]) -> str:
+    """Return the name of a link, loop or element by its table; without one that of its type."""
+    return str(table.get("name") or str(table.get("type")).rpartition(":")[2])
 
 
 def written(changes: Mapping[str, Any]) -> list[str]:

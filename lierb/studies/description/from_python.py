@@ -27,6 +27,7 @@ from lierb.model.mechanism.mechanism import Mechanism
 from lierb.model.numbers import labelled
 from lierb.model.problem import Problem
 from lierb.sampling import Design
+from lierb.studies.description.changes import label_of
 from lierb.studies.description.code import PREFIX, source_of
 from lierb.studies.description.sections.bodies import POINTS
 from lierb.studies.description.sections.running import IntegrateSection, OutputSection
@@ -297,11 +298,10 @@ def _no_quantity(name: str, problem: Problem | Mechanism, elements: Mapping[str,
     if owner in elements:
         return f"{name}: a study names it {elements[owner]}.{key}, by the list of its element"
     if isinstance(problem, Problem):
-        expected = "body.mass, initial.omega or forces.drag.linear"
+        what, expected = "problem", "body.mass, initial.omega or forces.drag.linear"
     else:
-        first = problem.names[0]
+        what, first = "mechanism", problem.names[0]
         expected = f"{first}.body.mass, {first}.initial.velocities or forces.drag.linear"
-    what = "problem" if isinstance(problem, Problem) else "mechanism"
     listed = ", ".join(f"{own} ({label})" for label, own in elements.items())
     known = f"; its elements, and their names in with_, are {listed}" if elements else ""
     return f"{brief(name)} is no quantity of a {what}; expected names such as {expected}{known}"
@@ -311,7 +311,7 @@ def _names_in_study(
     problem: Problem | Mechanism, elements: Mapping[str, list[dict[str, Any]]]
 ) -> dict[str, str]:
     """Return the names of the elements in a study, `forces.drag_2`, by those in the problem."""
-    names = [f"{table}.{_label_of(each)}" for table, own in elements.items() for each in own]
+    names = [f"{table}.{label_of(each)}" for table, own in elements.items() for each in own]
     return {label: name for (_, label, _), name in zip(labelled(problem), names, strict=True)}
 
 
@@ -331,39 +331,32 @@ def _element(element: Element, code: dict[str, str]) -> dict[str, Any]:
                 "with @lierb.wrench in a file"
             )
         assert isinstance(element.kind, forces.BuiltIn)
-        defaults = signature(getattr(forces, element.name)).parameters
-        chosen = {
-            name: value
-            for name, value in (parameters | element.kind.options).items()
-            if not np.array_equal(value, defaults[name].default)
-        }
-        return {"type": element.name, **chosen, **placed}
-    file, text, name = source_of(element.made_by)
-    if code.setdefault(file, text) != text:
-        raise StudyError(f"two different files are called {file}; rename one of them")
-    own = element.made_by.defaults
-    parameters = {
-        name: value
-        for name, value in parameters.items()
-        if name not in own or not np.array_equal(value, own[name])
+        kind = name = element.name
+        known = signature(getattr(forces, name)).parameters
+        defaults = {key: parameter.default for key, parameter in known.items()}
+        parameters |= element.kind.options
+    else:
+        file, text, name = source_of(element.made_by)
+        if code.setdefault(file, text) != text:
+            raise StudyError(f"two different files are called {file}; rename one of them")
+        kind, defaults = f"{PREFIX}{file}:{name}", dict(element.made_by.defaults)
+    chosen = {
+        key: value
+        for key, value in parameters.items()
+        if key not in defaults or not np.array_equal(value, defaults[key])
     }
     for taken in ("type", "name", "on"):
-        if taken in parameters:
+        if taken in chosen:
             raise StudyError(f"{name}: its parameter {taken} needs another name in a study")
-    table = {"type": f"{PREFIX}{file}:{name}", **parameters, **placed}
+    table = {"type": kind, **chosen, **placed}
     return table if element.name == name else table | {"name": element.name}
-
-
-def _label_of(element: Mapping[str, Any]) -> str:
-    """Return the name of an element by its table."""
-    return str(element.get("name") or element["type"].rpartition(":")[2])
 
 
 def _labelled(elements: list[dict[str, Any]]) -> list[dict[str, Any]]:
     """Name elements whose labels are equal: drag, drag_2, …"""
     seen: dict[str, int] = {}
     for element in elements:
-        label = _label_of(element)
+        label = label_of(element)
         seen[label.lower()] = seen.get(label.lower(), 0) + 1
         if seen[label.lower()] > 1:
             element["name"] = f"{label}_{seen[label.lower()]}"
