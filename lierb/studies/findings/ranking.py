@@ -35,9 +35,6 @@ class Ranking(NamedTuple):
         ranks = np.argsort(values if self.is_reversed else -values, kind="stable")
         return ranks[~np.isnan(values[ranks])]
 
-    def is_worse(self, value: float, than: float) -> bool:
-        return value < than if self.is_reversed else value > than
-
 
 def ranking_named(study: Study, rank_by: str) -> Ranking:
     """Return the ranking by a column.   rank_by : its name; `-NAME` ranks the smallest first.

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from lierb.results.animation import Animation
 from lierb.results.animation.scene import scene_of
 from lierb.results.colours import CSPACE_NAMES
@@ -14,6 +16,7 @@ from lierb.studies.findings.columns import ok_columns, rows_of
 from lierb.studies.findings.ranking import Ranking
 from lierb.studies.storage.parts import Part
 from lierb.studies.storage.results import IS_SUCCESS, Results
+from lierb.support.arrays import Array
 
 FRAMES = 500  # frames of each trajectory
 MORE = 4  # times as many frames of trajectories that turn fast
@@ -38,20 +41,18 @@ def chosen(dataset: Results, ranking: Ranking) -> Chosen | None:
     Of a study none of whose bodies got to its end, the first that failed. None without any row.
     """
     study = dataset.study
-    worst: tuple[float, Setting, dict[str, int]] | None = None
+    ranked: list[tuple[float, Setting, Array]] = []  # worst value of a setting, its trajectories
     for setting in study.settings:
         rows = ok_columns(dataset, setting, ["trajectory", ranking.column])
         values, order = rows[ranking.column], ranking.order(rows[ranking.column])
-        if not order.size:
-            continue
-        first, middle = order[0], order[order.size // 2]
-        if worst is None or ranking.is_worse(values[first], worst[0]):
-            named = {"worst": int(rows["trajectory"][first])}
-            if rows["trajectory"][middle] != named["worst"]:
-                named["median"] = int(rows["trajectory"][middle])
-            worst = float(values[first]), setting, named
-    if worst is not None:
-        return Chosen(worst[2], _beside(study, worst[1]), ranking)
+        if order.size:
+            ranked.append((values[order[0]], setting, rows["trajectory"][order]))
+    if ranked:
+        first, *_ = ranking.order(np.array([value for value, *_ in ranked]))
+        _, setting, trajectories = ranked[first]
+        worst, median = (int(trajectories[i]) for i in (0, len(trajectories) // 2))
+        named = {"worst": worst} | ({"median": median} if median != worst else {})
+        return Chosen(named, _beside(study, setting), ranking)
     for setting in study.settings:
         rows = dataset.table().head(
             1, columns=["trajectory"], filter=rows_of(setting) & ~IS_SUCCESS
