@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,38 +57,35 @@ def fit_figure(
     return figure
 
 
-class Spread(NamedTuple):
-    """Standard deviations of a quantity over time.
+def propagation_figure(
+    t: Array,
+    linear: Mapping[str, Array],
+    sample: Mapping[str, Array],
+    holds: Mapping[str, NDArray[np.bool_]],
+    units: Mapping[str, str],
+    runs: int,
+) -> Figure:
+    """Draw standard deviations, (times, w): lines of linear theory, dots of the sample.
 
-    unit : unit of the quantity.   linear, sample : (times, w).   holds : (times,), where linear
-    theory holds.
+    holds, units : as in `Propagation`.
     """
-
-    unit: str
-    linear: Array
-    sample: Array
-    holds: NDArray[np.bool_]
-
-
-def propagation_figure(t: Array, spreads: Mapping[str, Spread], runs: int) -> Figure:
-    """Draw standard deviations by quantity: lines of linear theory, dots of the sample."""
-    rows = len(spreads)
+    rows = len(linear)
     with matplotlib.rc_context(STYLE):
         figure = ShownFigure(figsize=(WIDTH, HEIGHT * rows + 0.4), layout="constrained")
         panels = figure.subplots(rows, 1, sharex=True, squeeze=False)[:, 0]
-        for panel, (name, spread) in zip(panels, spreads.items(), strict=True):
-            for c in range(spread.linear.shape[1]):
+        for panel, (name, deviations) in zip(panels, linear.items(), strict=True):
+            for c in range(deviations.shape[1]):
                 colour = COLOURS[c % len(COLOURS)]
-                panel.plot(t, spread.linear[:, c], color=colour, label=str(c + 1))
-                panel.plot(t, spread.sample[:, c], ".", color=colour)
-            _name_components(panel, spread.linear.shape[1])
-            for fails in t[~spread.holds]:
+                panel.plot(t, deviations[:, c], color=colour, label=str(c + 1))
+                panel.plot(t, sample[name][:, c], ".", color=colour)
+            _name_components(panel, deviations.shape[1])
+            for fails in t[~holds[name]]:
                 panel.axvline(fails, color=FAILS, linewidth=0.6, alpha=0.5, zorder=0)
-            panel.set_title(f"{name}, standard deviation [{_unit(spread.unit)}]", loc="left")
+            panel.set_title(f"{name}, standard deviation [{_unit(units[name])}]", loc="left")
             panel.set_ylim(bottom=0.0)
         panels[-1].set_xlabel("t [s]")
         notes = f"lines: linear theory; dots: {runs} runs"
-        if not all(spread.holds.all() for spread in spreads.values()):
+        if not all(holds[name].all() for name in linear):
             notes += "; red: linear theory does not hold"
         figure.supxlabel(notes, x=0.01, ha="left", fontsize=9, color="#555555")
     return figure

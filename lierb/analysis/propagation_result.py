@@ -126,22 +126,18 @@ class Propagation(Represented):
         >>> [panel.get_title(loc="left") for panel in spread.plot().axes]
         ['position, standard deviation [m]']
         """
-        names = [quantities] if isinstance(quantities, str) else [*quantities]
+        given = [quantities] if isinstance(quantities, str) else [*quantities]
+        names = given or [*self.linear]
         for name in names:
             require_name("quantities", name, self.linear)
         require("plot")
-        from lierb.analysis.estimate_figures import Spread, propagation_figure
+        from lierb.analysis.estimate_figures import propagation_figure
 
-        spreads = {
-            name: Spread(
-                self.units[name],
-                self.standard_deviations(name),
-                self.standard_deviations(name, "sample"),
-                self.holds[name],
-            )
-            for name in names or self.linear
-        }
-        return propagation_figure(self.t, spreads, self.size)
+        linear, sample = (
+            {name: self.standard_deviations(name, how) for name in names}
+            for how in ("linear", "sample")
+        )
+        return propagation_figure(self.t, linear, sample, self.holds, self.units, self.size)
 
     def _representation(self) -> tuple[str, Lines]:
         title = f"lierb.Propagation: {counted(len(self.t), 'time')}, {counted(self.size, 'run')}"
