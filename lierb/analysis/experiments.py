@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -24,10 +25,8 @@ def measured_experiments(model: Model, data: Any, sigma: Any) -> tuple[Measureme
         return measurements(model, flat, sigma), count
     groups = [each if isinstance(each, (list, tuple)) else [each] for each in data]
     given = measurements(model, [table for group in groups for table in group], sigma)
-    counts, first = [], 0
-    for group in groups:
-        counts.append(sum(given.counts[first : first + len(group)]))
-        first += len(group)
+    by_table = iter(given.counts)
+    counts = [sum(islice(by_table, len(group))) for group in groups]
     for i, count in enumerate(counts):
         if count != counts[0]:
             raise ArgumentError(

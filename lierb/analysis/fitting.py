@@ -297,14 +297,12 @@ def _status(solution: Any, is_minimum: bool, refusal: str, at_bounds: Mapping[st
         3: "the estimate changes no more",
         4: "neither the sum of squares nor the estimate changes any more",
     }  # fmt: skip
-    stuck = REASONS[STUCK]
-    if refusal:
-        stuck = f"no step decreases the sum of squares, for there is no run nearby: {refusal}"
     reason = reasons[int(solution.status)]
     if is_minimum and solution.status == 0:
         reason = "the sum of squares is at its minimum, along all directions that the data tell"
     elif solution.status > 0 and not is_minimum:
-        reason = stuck
+        nearby = f"no step decreases the sum of squares, for there is no run nearby: {refusal}"
+        reason = nearby if refusal else REASONS[STUCK]
     bounded = [f"{label} is at its {side} bound" for label, side in at_bounds.items()]
     return "; ".join((reason, *bounded))
 

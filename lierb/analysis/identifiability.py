@@ -185,9 +185,9 @@ def described(
     """
     one, several = ending
     weights = np.abs(changes) / np.where(values != 0.0, np.abs(values), 1.0)
-    chosen = np.flatnonzero(np.abs(changes) > 0.0)
-    chosen = chosen[np.argsort(-weights[chosen], kind="stable")] if len(chosen) else chosen
-    chosen = chosen[weights[chosen] > SHARE * weights[chosen[:1]].max(initial=0.0)]
+    chosen = np.flatnonzero(changes)
+    chosen = chosen[np.argsort(-weights[chosen], kind="stable")]
+    chosen = chosen[weights[chosen] > SHARE * weights[chosen[0]]]
     changes = changes / changes[chosen[0]]
     order = sorted(chosen.tolist())
     names = [labels[i] for i in order]

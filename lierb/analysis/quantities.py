@@ -172,10 +172,9 @@ def rotations(result: Result, link: str) -> Array:
 
 def _poses(result: Result) -> dict[str, Array]:
     """Return the poses of all links at the saved times, by prefix."""
-    links = result.links
     return {
         prefix: OfGroup(f"{prefix}pose", (4, 4), POSE_UNITS, "").values(result)
-        for prefix in ([f"{link}." for link in links] or [""])
+        for prefix in ([f"{link}." for link in result.links] or [""])
     }
 
 
@@ -192,7 +191,7 @@ def quantity_named(model: Model, argument: str, name: Any) -> Quantity:
     return known[alias]
 
 
-def records_of(quantities: Iterator[Quantity] | list[Quantity]) -> list[str]:
+def records_of(quantities: list[Quantity]) -> list[str]:
     """Return the columns that a run must record for the values of quantities."""
     last = [q.name.rpartition(".")[2] for q in quantities]
     return ["state", *dict.fromkeys(RECORDS[x] for x in last if x in RECORDS)]
