@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -170,11 +171,9 @@ def _table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> Table:
 
     words = [name for name in header if name in ("method", "c-space", "over")]
     table = empty_table(words, header[len(words) :])
-    before = None
-    for row in rows:
-        key = list(row[: len(words)])
-        if before is not None and key[:2] != before[:2] and len(words) < 3:
+    for _, of_method in groupby(rows, key=lambda row: list(row[:2])):
+        if len(words) < 3:
             table.add_section()
-        table.add_row(*row)
-        before = key
+        for row in of_method:
+            table.add_row(*row)
     return table
