@@ -110,9 +110,7 @@ def _text_of(folder: Path, file: str) -> str:
 
 def _parsed(file: str, text: str) -> ast.Module:
     try:
-        return ast.parse(
-            text.removeprefix("\ufeff"), file
-        )  # the byte-order mark, which Python skips in a file
+        return ast.parse(text.removeprefix("\ufeff"), file)  # Python skips a byte-order mark
     except (SyntaxError, ValueError, RecursionError) as error:
         line = getattr(error, "lineno", None)
         raise StudyError(
@@ -165,9 +163,8 @@ def module_of(file: str, text: str) -> ModuleType:
             module = sys.modules[name] = ModuleType(name)
             try:
                 with _running(file):
-                    exec(
-                        compile(_parsed(file, text), place, "exec", dont_inherit=True), vars(module)
-                    )
+                    code = compile(_parsed(file, text), place, "exec", dont_inherit=True)
+                    exec(code, vars(module))
             except BaseException:
                 del sys.modules[name]
                 raise

@@ -96,12 +96,11 @@ def _adds_bodies(store: Store, study: Study, parts: Parts) -> bool:
 
 def _whole_parts(store: Store, parts: Parts) -> dict[str, Any]:
     """Return the parts of a folder that get no further bodies."""
-    whole = {}
-    for name, files in store.parts.items():
-        part = parts.named(name)
-        if part is not None and files[file_of("summary", name)]["rows"] == part.count:
-            whole[name] = files
-    return whole
+    return {
+        name: files
+        for name, files in store.parts.items()
+        if (part := parts.named(name)) and files[file_of("summary", name)]["rows"] == part.count
+    }
 
 
 def _resume(store: Store, study: Study, text: str) -> None:
