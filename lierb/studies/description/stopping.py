@@ -79,13 +79,18 @@ def rule_of(text: str, problem: Problem | Mechanism, has_lane_clocks: bool = Fal
     return Rule(probability, column, limit, bool(percent))
 
 
+def observed_columns(problem: Problem | Mechanism) -> list[str]:
+    """Return the names of the summary's columns of observables."""
+    return [f"{each.name}_{how}" for each in problem.observables for how in KEEPS]
+
+
 def number_columns(problem: Problem | Mechanism, has_lane_clocks: bool) -> list[str]:
     """Return the columns of a problem's summary that have one number for each trajectory.
 
     has_lane_clocks : True if each trajectory has its own steps, which columns count.
     """
     names = [f"{measure.name}_{how}" for measure, how in KEPT]
-    names += [f"{each.name}_{how}" for each in problem.observables for how in KEEPS]
+    names += observed_columns(problem)
     names += [name for name, shape, _ in problem.signals if shape == ()]
     names += [*COUNTS, "dt_last", "t"] if has_lane_clocks else []
     if isinstance(problem, Mechanism):

@@ -123,12 +123,10 @@ def _of_setting(
     rows = _rows(dataset, setting, outputs)
     if not len(next(iter(rows.values()))):
         return
-    names = study.integrate.sensitivities
     groups: dict[bytes, list[_Output]] = {}
     for output in outputs:
-        own = [rows[output.column][:, [output.item]]]
-        own += [_of_part(output, rows[f"{output.of}{SEPARATOR}{name}"]) for name in names]
-        known = np.isfinite(np.concatenate(own, axis=1)).all(axis=1)
+        known = np.isfinite(_by_parameters(output, study, rows)).all(axis=(1, 2))
+        known &= np.isfinite(rows[output.column][:, output.item])
         groups.setdefault(known.tobytes(), []).append(output)
     found: dict[str, LinearTheory] = {}
     for mask, group in groups.items():
@@ -227,7 +225,7 @@ def _rows(dataset: Results, setting: Setting, outputs: Sequence[_Output]) -> dic
     """Read numbers, outputs, draws and derivatives of the ok bodies, (n, numbers)."""
     study = dataset.study
     columns = ["trajectory", *(output.column for output in outputs)]
-    columns += [_sampled(name) for name in study.design.quantities if name != NOTHING]
+    columns += [f"sample.{name}" for name in study.design.quantities if name != NOTHING]
     columns += [
         f"{output.of}{SEPARATOR}{name}"
         for output in outputs
@@ -239,13 +237,9 @@ def _rows(dataset: Results, setting: Setting, outputs: Sequence[_Output]) -> dic
     }
 
 
-def _sampled(quantity: str) -> str:
-    return f"sample.{quantity}"
-
-
 def _off(rows: dict[str, Array], quantity: str) -> Array:
     """Return the differences of the draws from their mean, (n, components)."""
-    draws = rows[_sampled(quantity)]
+    draws = rows[f"sample.{quantity}"]
     return np.asarray(draws - draws.mean(axis=0))
 
 
@@ -254,7 +248,7 @@ def _along_parameters(
 ) -> tuple[dict[str, Array], dict[str, str]]:
     """Return ∂p/∂x by sampled quantity, and reasons for those without derivatives."""
     draws = {
-        name: rows[_sampled(name)].reshape(-1, *quantity.shape)
+        name: rows[f"sample.{name}"].reshape(-1, *quantity.shape)
         for name, quantity in study.design.quantities.items()
     }
     deviations = {name: np.sqrt(c.diagonal()) for name, c in covariances.items()}
@@ -266,14 +260,9 @@ def _along_parameters(
 
 def _by_parameters(output: _Output, study: Study, rows: dict[str, Array]) -> Array:
     """Return the derivatives of an output by all numbers of the parameters, (n, 1, numbers)."""
-    names = study.integrate.sensitivities
-    parts = [_of_part(output, rows[f"{output.of}{SEPARATOR}{name}"]) for name in names]
-    return np.concatenate(parts, axis=1)[:, None]
-
-
-def _of_part(output: _Output, derivatives: Array) -> Array:
-    """Return the derivatives of an output's component, (n, numbers of a parameter)."""
-    return derivatives.reshape(len(derivatives), output.width, -1)[:, output.part]
+    parts = [rows[f"{output.of}{SEPARATOR}{name}"] for name in study.integrate.sensitivities]
+    own = [part.reshape(len(part), output.width, -1)[:, output.part] for part in parts]
+    return np.concatenate(own, axis=1)[:, None]
 
 
 def _shares(slopes: dict[str, Array], covariances: dict[str, Array]) -> dict[str, float]:

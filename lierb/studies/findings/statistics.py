@@ -10,7 +10,6 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from lierb.errors import require_name
-from lierb.kernels.systems.observables import KEEPS
 from lierb.results.columns import as_array, unit_of
 from lierb.studies.description.quantiles import (
     CONFIDENCE,
@@ -20,6 +19,7 @@ from lierb.studies.description.quantiles import (
     quantiles_of,
 )
 from lierb.studies.description.settings import Setting
+from lierb.studies.description.stopping import observed_columns
 from lierb.studies.findings.columns import ok_columns, rows_of
 from lierb.studies.findings.sizes import errors_seen
 from lierb.studies.storage.results import IS_SUCCESS, Results
@@ -45,21 +45,16 @@ class Spread(NamedTuple):
     quantiles: tuple[Quantile, ...]
 
 
-def _observed_columns(dataset: Results) -> list[str]:
-    """Return the names of the summary's columns of observables."""
-    observables = dataset.study.batch(0, 1).problem.observables
-    return [f"{element.name}_{how}" for element in observables for how in KEEPS]
-
-
 def quantities(dataset: Results, probabilities: Sequence[float] = PROBABILITIES) -> list[Spread]:
     """Return quantiles, with intervals, of the errors that are not zero and of all observables.
 
     probabilities : of the quantiles; 0.5 is the median.
     """
     columns, schema = [*errors_seen(dataset).values()], dataset.table().schema
+    columns += observed_columns(dataset.study.batch(0, 1).problem)
     spreads = []
     for setting in dataset.study.settings:
-        for name in columns + _observed_columns(dataset):
+        for name in columns:
             rows = ok_columns(dataset, setting, ["trajectory", name])
             is_number = ~np.isnan(rows[name])
             values, bodies = rows[name][is_number], rows["trajectory"][is_number]
@@ -180,8 +175,9 @@ def indices(dataset: Results) -> list[Sensitivity]:
     if design.method != "saltelli":
         return []
     each = len(design.drawn) + 2
+    observed = observed_columns(dataset.study.batch(0, 1).problem)
     for setting in dataset.study.settings:
-        for column in _observed_columns(dataset) or errors_seen(dataset).values():
+        for column in observed or errors_seen(dataset).values():
             values = np.full(design.n, np.nan)
             is_ok = rows_of(setting) & IS_SUCCESS
             table = dataset.table().to_table(columns=["trajectory", column], filter=is_ok)
