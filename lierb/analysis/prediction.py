@@ -20,7 +20,8 @@ import numpy as np
 
 from lierb.analysis.completion import Completion, OpenError, SingularError, group_name, row_space
 from lierb.analysis.completion_space import Place, Space
-from lierb.errors import ArgumentError, PoseError, brief
+from lierb.api import checked_model
+from lierb.errors import ArgumentError, PoseError
 from lierb.kernels.mechanics.newton_euler import CSPACES
 from lierb.model.mechanism.closing import unfit_constraints
 from lierb.model.mechanism.mechanism import Mechanism
@@ -230,13 +231,11 @@ def predict(
     True
     """
     check_names(update=update)
-    if isinstance(problem, Mechanism):
-        return _of_mechanism(problem, pose0, update)
-    if not isinstance(problem, Problem):
-        raise ArgumentError(
-            f"problem must be a lierb.Problem or a lierb.Mechanism, got {brief(problem)}"
-        )
-    return _of_one_body(problem, pose0, update)
+    model = checked_model(problem)
+    if isinstance(model, Mechanism):
+        return _of_mechanism(model, pose0, update)
+    assert isinstance(model, Problem)
+    return _of_one_body(model, pose0, update)
 
 
 def _of_one_body(problem: Problem, pose0: Any, update: str) -> Predictions:

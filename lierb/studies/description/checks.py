@@ -118,11 +118,10 @@ def require_effect(study: StudyTables, changes: Mapping[str, Any]) -> None:
     """Raise StudyError for a change of a quantity that every body draws."""
     drawn = study.sample.quantities()
     for key in changes:
-        way = path_of(key)
-        if ".".join(_sampled_path(study, way)) in drawn:
+        path = ".".join(_sampled_path(study, path_of(key)))
+        if path in drawn:
             raise StudyError(
-                f"{key}: has no effect, since each body draws its own; change "
-                f"sample.{'.'.join(_sampled_path(study, way))}"
+                f"{key}: has no effect, since each body draws its own; change sample.{path}"
             )
 
 
