@@ -1,6 +1,7 @@
 """Section 5 of the paper, run as `lierb paper` runs it."""
 
 import json
+import os
 import xml.etree.ElementTree as ElementTree
 
 import numpy as np
@@ -263,11 +264,11 @@ def test_nothing_is_written_without_a_folder(printed):
 def test_an_interrupted_write_leaves_the_old_file(tmp_path, monkeypatch):
     (tmp_path / "summary.parquet").write_text("old")
 
-    def interrupted(table, path, **kwargs):
-        path.write_text("half")
+    def interrupted(file):
+        assert os.fstat(file).st_size > 0
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(pq, "write_table", interrupted)
+    monkeypatch.setattr(os, "fsync", interrupted)  # when the content is written
     with pytest.raises(KeyboardInterrupt):
         run_paper(tmp_path, dts=(1e-2,), t_end=0.1, figures=False)
     assert [path.name for path in tmp_path.iterdir()] == ["summary.parquet"]

@@ -6,7 +6,6 @@ import json
 import os
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
@@ -24,6 +23,7 @@ from lierb.model.bodies.body import Body
 from lierb.model.problem import Problem
 from lierb.results.columns import numbers, repeated
 from lierb.support import extras
+from lierb.support.files import write_whole
 
 Progress = Callable[[int, int, str], object]
 
@@ -31,6 +31,7 @@ METHOD = "RK4"
 DTS = (1e-2, 1e-3, 1e-4)  # s
 T_END = 10.0  # s
 ROWS_PER_HISTORY = 1000
+REMEDY = "make room there, or choose another folder, and run it again"
 
 
 @dataclass(frozen=True)
@@ -249,25 +250,15 @@ def _concatenate(tables: Sequence[pa.Table]) -> pa.Table:
     return joined.replace_schema_metadata({"lierb": json.dumps({**shared, "runs": own})})
 
 
-@contextmanager
-def _replacing(path: Path) -> Iterator[Path]:
-    """Yield a temporary path, which replaces `path` if the block succeeds."""
-    partial_path = path.with_name(f".{path.name}.partial")
-    try:
-        yield partial_path
-        partial_path.replace(path)
-    finally:
-        partial_path.unlink(missing_ok=True)
-
-
 def _write_tables(report: PaperReport, folder: Path) -> list[Path]:
     tables = {
         folder / "summary.parquet": report.summary,
         folder / "history.parquet": report.history,
     }
     for path, table in tables.items():
-        with _replacing(path) as partial_path:
-            pq.write_table(table, partial_path, compression="zstd")
+        content = pa.BufferOutputStream()
+        pq.write_table(table, content, compression="zstd")
+        write_whole(path, content.getvalue(), REMEDY)
     return list(tables)
 
 
@@ -289,7 +280,6 @@ def _draw(report: PaperReport, example: Example, figure: PaperFigure, folder: Pa
     files = []
     for kind in ("png", "svg"):
         path = folder / f"figure_{figure.number}_{example.key}_{figure.quantity}.{kind}"
-        with _replacing(path) as partial_path:
-            plots.save(drawing, partial_path, kind)
+        write_whole(path, plots.picture(drawing, kind), REMEDY)
         files.append(path)
     return files

@@ -52,16 +52,16 @@ def folder_of(given: str | os.PathLike[str]) -> Path:
     return folder
 
 
-def write_whole(path: Path, content: Any) -> None:
+def write_whole(path: Path, content: Any, remedy: str = KEPT) -> None:
     """Write a file with that content, or leave it unchanged. Raises StudyFileError.
 
     Links, pipes and devices such as /dev/stdout are written in place.
     """
     if path.is_symlink() or (path.exists() and not path.is_file()):
-        with naming(path, "written", KEPT):
+        with naming(path, "written", remedy):
             path.write_bytes(content)
     else:
-        rename(write_aside(path, content), path)
+        rename(write_aside(path, content, remedy), path, remedy)
 
 
 def require_page(path: Path) -> None:
@@ -79,21 +79,21 @@ def require_page(path: Path) -> None:
             )
 
 
-def write_aside(path: Path, content: Any) -> Path:
+def write_aside(path: Path, content: Any, remedy: str = KEPT) -> Path:
     """Write a temporary file beside `path`; return its path. Readers of the folder skip it."""
     aside = path.with_name(f".{path.name}.{uuid4().hex[:8]}{TEMPORARY}")
-    with naming(path.parent, "made", KEPT):
+    with naming(path.parent, "made", remedy):
         path.parent.mkdir(parents=True, exist_ok=True)
-    with naming(path, "written", KEPT), _deleted_on_error(aside), aside.open("wb") as file:
+    with naming(path, "written", remedy), _deleted_on_error(aside), aside.open("wb") as file:
         file.write(content)
         file.flush()
         os.fsync(file.fileno())
     return aside
 
 
-def rename(aside: Path, path: Path) -> None:
+def rename(aside: Path, path: Path, remedy: str = KEPT) -> None:
     """Rename a temporary file durably; delete it if that fails."""
-    with naming(path, "written", KEPT), _deleted_on_error(aside):
+    with naming(path, "written", remedy), _deleted_on_error(aside):
         aside.replace(path)
         _sync(path.parent)
 
