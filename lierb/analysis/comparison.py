@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pyarrow as pa
-import pyarrow.parquet as pq
 
 from lierb.analysis.comparison_orders import FLOOR, Observed, observed_orders
 from lierb.analysis.comparison_tables import (
@@ -26,7 +25,7 @@ from lierb.analysis.reference import ERRORS
 from lierb.errors import ArgumentError, require_name
 from lierb.methods import Method
 from lierb.support.extras import is_installed, require
-from lierb.support.files import folder_of, naming, write_whole
+from lierb.support.files import folder_of, naming, parquet, write_whole
 from lierb.support.representations import Lines, Represented, counted
 
 if TYPE_CHECKING:
@@ -201,7 +200,7 @@ class Comparison(Represented):
         """
         folder = folder_of(out)
         contents = {
-            "parquet": _parquet(self.table),
+            "parquet": parquet(self.table),
             "md": self.to_markdown().encode(),
             "tex": self.to_latex().encode(),
         }
@@ -257,9 +256,3 @@ def _field(name: str) -> pa.Field:
         return pa.field(name, pa.dictionary(pa.int32(), pa.string()))
     kind = pa.int64() if plain in ("trajectories", "failed") else pa.float64()
     return pa.field(name, kind, metadata={"unit": UNITS[plain]})
-
-
-def _parquet(table: pa.Table) -> bytes:
-    content = pa.BufferOutputStream()
-    pq.write_table(table, content)
-    return bytes(content.getvalue())

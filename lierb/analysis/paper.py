@@ -13,7 +13,6 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
-import pyarrow.parquet as pq
 
 from lierb.analysis.convergence import Order, observed_order, verdict
 from lierb.analysis.paper_examples import CSPACES, INERTIA, MASS, Example, PaperFigure, examples
@@ -23,7 +22,7 @@ from lierb.model.bodies.body import Body
 from lierb.model.problem import Problem
 from lierb.results.columns import numbers, repeated
 from lierb.support import extras
-from lierb.support.files import write_whole
+from lierb.support.files import parquet, write_whole
 
 Progress = Callable[[int, int, str], object]
 
@@ -256,9 +255,7 @@ def _write_tables(report: PaperReport, folder: Path) -> list[Path]:
         folder / "history.parquet": report.history,
     }
     for path, table in tables.items():
-        content = pa.BufferOutputStream()
-        pq.write_table(table, content, compression="zstd")
-        write_whole(path, content.getvalue(), REMEDY)
+        write_whole(path, parquet(table, compression="zstd"), REMEDY)
     return list(tables)
 
 

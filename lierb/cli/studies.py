@@ -19,7 +19,7 @@ from lierb.studies.description.shipped import examples
 from lierb.studies.description.sources import STUDY, as_file, folder_by, is_copied
 from lierb.support.collected_warnings import warnings_collected
 from lierb.support.extras import require
-from lierb.support.files import folder_of, naming, write_whole
+from lierb.support.files import folder_of, naming, parquet, write_whole
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -312,9 +312,6 @@ def predict(study: Path, changes: Changes) -> None:
 
 def _replay(study: Study, folder: Path, trajectory: int, threads: int | None) -> None:
     """Integrate a trajectory; write its histories, and print its summaries and events."""
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
     from lierb.studies.execution.replaying import replay
 
     click.echo(
@@ -323,9 +320,7 @@ def _replay(study: Study, folder: Path, trajectory: int, threads: int | None) ->
     )
     for number, (setting, tables) in enumerate(replay(study, trajectory, threads=threads)):
         path = folder / f"trajectory-{trajectory}-{number:02d}.parquet"
-        content = pa.BufferOutputStream()
-        pq.write_table(tables["history"], content)
-        write_whole(path, content.getvalue())
+        write_whole(path, parquet(tables["history"]))
         (row,) = tables["summary"].to_pylist()
         click.echo(f"{setting.label}: {row['status']}, history in {path}")
         for name, value in row.items():

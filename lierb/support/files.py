@@ -12,6 +12,9 @@ from pathlib import Path
 from typing import Any
 from uuid import uuid4
 
+import pyarrow as pa
+import pyarrow.parquet as pq
+
 from lierb.errors import ArgumentError, StudyError, StudyFileError
 
 TEMPORARY = ".unfinished"
@@ -50,6 +53,13 @@ def folder_of(given: str | os.PathLike[str]) -> Path:
             "another for the results"
         ) from None
     return folder
+
+
+def parquet(table: pa.Table, **options: Any) -> pa.Buffer:
+    """Return a table as the content of a Parquet file.   options : of Arrow's `write_table`."""
+    content = pa.BufferOutputStream()
+    pq.write_table(table, content, **options)
+    return content.getvalue()
 
 
 def write_whole(path: Path, content: Any, remedy: str = KEPT) -> None:

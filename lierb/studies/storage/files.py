@@ -10,11 +10,11 @@ from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
-import pyarrow.parquet as pq
 
 from lierb.results.failures import Failures
 from lierb.studies.description.study_tables import TABLES
 from lierb.studies.storage.manifest import PART, file_of
+from lierb.support.files import parquet
 
 PARQUET = b"PAR1"  # first bytes of a Parquet file
 
@@ -50,11 +50,10 @@ def parquet_files(part: str, tables: dict[str, pa.Table], compression: str) -> l
     for name, table in tables.items():
         # No two doubles are alike: looking for a dictionary of them takes most of the time.
         repeated = [f.name for f in table.schema if pa.types.is_dictionary(f.type)]
-        sink = pa.BufferOutputStream()
-        pq.write_table(table, sink, compression=compression, use_dictionary=repeated)
+        content = parquet(table, compression=compression, use_dictionary=repeated)
         failures = Failures.of(table) if "status" in table.column_names else None
         failed = failures.counts if failures else {}
-        files.append(File(file_of(name, part), table.num_rows, sink.getvalue(), failed))
+        files.append(File(file_of(name, part), table.num_rows, content, failed))
     return files
 
 
