@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from lierb.cli.terminal import INTERRUPTED, print_whole, wrapped
-from lierb.errors import ArgumentError, StudyError
+from lierb.errors import StudyError
 from lierb.studies.description.changes import parsed, written
 from lierb.studies.description.shipped import example as text_of
 from lierb.studies.description.shipped import examples
@@ -79,20 +79,24 @@ SET = click.option(
 
 def _probabilities(_ctx: click.Context, _param: click.Parameter, given: str) -> tuple[float, ...]:
     """Parse the option --quantiles: percentages, as probabilities."""
-    from lierb.studies.description.quantiles import fractions
-
     try:
-        percents = [float(each) for each in given.split(",")]
+        percents = sorted({float(each) for each in given.split(",")})
     except ValueError:
         percents = [0.0]
     if not all(0.0 < each < 100.0 for each in percents):
         raise click.BadParameter(
             f"{given}; expected percentages above 0 and below 100, as 50,95,99.73"
         )
-    try:
-        return fractions("--quantiles", sorted({*percents}))
-    except ArgumentError as error:
-        raise click.BadParameter(str(error)) from None
+    if percents[-1] <= 1.0:  # shares of the bodies
+        shares, larger = (
+            f"--quantiles={','.join(f'{scale * each:.12g}' for each in percents)}"
+            for scale in (1.0, 100.0)
+        )
+        raise click.BadParameter(
+            f"{shares}; expected percentages, as {larger} for these shares; if {given} % are "
+            f"meant, give a larger one beside them: {shares},50"
+        )
+    return tuple(each / 100.0 for each in percents)
 
 
 QUANTILES = click.option(

@@ -77,23 +77,6 @@ def quantiles_of(
     return quantiles if is_drawn else tuple(q._replace(low=np.nan, high=np.nan) for q in quantiles)
 
 
-def fractions(argument: str, percentages: Sequence[float]) -> tuple[float, ...]:
-    """Convert percentages from 0 to 100 to probabilities.
-
-    Raises ArgumentError, also if all are at most 1, as shares of the bodies are.
-    """
-    given = ",".join(f"{each:.12g}" for each in percentages)
-    if not percentages or not all(0.0 <= each <= 100.0 for each in percentages):
-        raise ArgumentError(f"{argument}={given}; expected percentages from 0 to 100, as 5,50,95")
-    if max(percentages) <= 1.0:
-        larger = ",".join(f"{100.0 * each:.12g}" for each in percentages)
-        raise ArgumentError(
-            f"{argument}={given}; expected percentages, as {argument}={larger} for these shares; "
-            f"if {given} % are meant, give a larger one beside them: {argument}={given},50"
-        )
-    return tuple(each / 100.0 for each in percentages)
-
-
 def percent(probability: float) -> str:
     """Format a probability as a percentage, such as `99.73%`."""
     return f"{100.0 * probability:.12g}%"

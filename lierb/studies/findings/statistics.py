@@ -6,16 +6,13 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
-import pyarrow as pa
 import pyarrow.compute as pc
 
-from lierb.errors import require_name
 from lierb.results.columns import as_array, unit_of
 from lierb.studies.description.quantiles import (
     CONFIDENCE,
     PROBABILITIES,
     Quantile,
-    fractions,
     quantiles_of,
 )
 from lierb.studies.description.settings import Setting
@@ -26,7 +23,6 @@ from lierb.studies.storage.results import IS_SUCCESS, Results
 from lierb.support.arrays import Array
 from lierb.support.extras import require
 
-NO_RESULTS = ("t", "dt", "rtol")  # columns of a history that are no results
 MOST_NUMBERS = 2**24  # most numbers read at once from a history: 128 MB
 
 
@@ -68,37 +64,29 @@ def quantities(dataset: Results, probabilities: Sequence[float] = PROBABILITIES)
 # ---- over time ---------------------------------------------------------------------------------
 
 
-def percentiles_over_time(
+def quantiles_over_time(
     dataset: Results,
     name: str,
     setting: Setting,
-    percentiles: Sequence[float] = (5.0, 50.0, 95.0),
-    *,
+    probabilities: Sequence[float],
     of: Callable[[Array], Array] = np.asarray,
-) -> pa.Table:
-    """Compute percentiles of a column of the history at each time, over the ok bodies.
+) -> tuple[Array, Array]:
+    """Return times, s, and quantiles of a column of the history at each, over the ok bodies.
 
     Bodies that failed do not count, not even before they did; those that an event has ended count
     until then.
 
     of : function of the numbers, such as np.abs.
 
-    Returns a table of step, t, bodies and a column for each, such as p5 and p97.5, in the column's
-    unit. The history may be larger than the memory: at most MOST_NUMBERS are read at once.
-
-    Raises UnknownNameError for a column that is none of one number, and ArgumentError for
-    percentiles that are fractions.
+    The quantiles are (probabilities, times), NaN without a body. The history may be larger than the
+    memory: at most MOST_NUMBERS are read at once.
     """
-    probabilities = np.array(fractions("percentiles", percentiles))
     history = dataset.table("history")
-    schema = history.schema
-    scalar = [f.name for f in schema if pa.types.is_float64(f.type) and f.name not in NO_RESULTS]
-    require_name("name", name, scalar)
     failed = dataset.table().to_table(columns=["trajectory"], filter=rows_of(setting) & ~IS_SUCCESS)
     rows = rows_of(setting) & ~pc.field("trajectory").isin(failed["trajectory"])
     times = _times(dataset, setting)
     most = max(1, MOST_NUMBERS // max(1, history.count_rows(filter=rows) // max(1, len(times))))
-    steps, quantiles, counts = list(times), [], []
+    steps, quantiles = list(times), []
     for first in range(0, len(steps), most):
         some = steps[first : first + most]
         inside = (pc.field("step") >= some[0]) & (pc.field("step") <= some[-1])
@@ -108,19 +96,9 @@ def percentiles_over_time(
         starts = np.searchsorted(at[order], some[1:])
         for group in np.split(values[order], starts):
             alive = group[~np.isnan(group)]
-            counts.append(len(alive))
             some_alive = alive if len(alive) else [np.nan]
             quantiles.append(np.quantile(some_alive, probabilities, method="inverted_cdf"))
-    unit = schema.field(name).metadata
-    columns = np.array(quantiles).reshape(-1, len(probabilities)).T
-    fields = [
-        pa.field("step", pa.int64()),
-        pa.field("t", pa.float64(), metadata={"unit": "s"}),
-        pa.field("bodies", pa.int64()),
-        *(pa.field(f"p{p:g}", pa.float64(), metadata=unit) for p in percentiles),
-    ]
-    arrays = [steps, [times[step] for step in steps], counts, *columns]
-    return pa.table([pa.array(a) for a in arrays], schema=pa.schema(fields))
+    return np.array([*times.values()]), np.reshape(quantiles, (-1, len(probabilities))).T
 
 
 def _times(dataset: Results, setting: Setting) -> dict[int, float]:

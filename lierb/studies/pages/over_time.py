@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from lierb.kernels.systems.measures import MEASURES
-from lierb.results.columns import as_array
 from lierb.results.panels import MOST_KEYS, NO_TIMES, Sheet, label_lines, log_axes, positive
-from lierb.studies.description.settings import Setting
 from lierb.studies.findings.occurrences import event_names, first_times
 from lierb.studies.findings.sizes import errors_seen, least_drawn
-from lierb.studies.findings.statistics import percentiles_over_time
+from lierb.studies.findings.statistics import quantiles_over_time
 from lierb.studies.pages.columns import AXES, KNOWN, axis_label, other_columns
 from lierb.studies.pages.looks import Look, looks
 from lierb.studies.storage.results import Results
@@ -24,7 +21,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 HISTORY = {"position": "position_error", "rotation": "rotation_error", "energy": "energy_drift"}
-PERCENTILES = (5.0, 50.0, 95.0, 100.0)  # quantiles drawn at each time
+PROBABILITIES = (0.05, 0.5, 0.95, 1.0)  # of the quantiles drawn at each time
 RANKS = 2000  # most points of a distribution function
 IN_HISTORY = KNOWN | {measure.name for measure in MEASURES} - {"energy"}
 
@@ -56,7 +53,7 @@ def _draw_errors(
 ) -> None:
     zeros, ends = [], []
     for look in shown:
-        times, bands = _bands(dataset, look.setting, name, np.abs)
+        times, bands = quantiles_over_time(dataset, name, look.setting, PROBABILITIES, np.abs)
         if times.size < 2:
             continue
         times, bands = times[1:], bands[:, 1:]  # at the start there is no error yet
@@ -83,7 +80,8 @@ def _draw_errors(
 def _draw_column(dataset: Results, shown: list[Look], name: str, label: str, panel: Axes) -> None:
     ends = []
     for look in shown:
-        times, (low, median, high, _) = _bands(dataset, look.setting, name)
+        times, bands = quantiles_over_time(dataset, name, look.setting, PROBABILITIES)
+        low, median, high, _ = bands
         if not np.isfinite(median).any():
             continue
         panel.plot(times, median, color=look.key.colour, linestyle=look.key.dash,
@@ -127,11 +125,3 @@ def _draw_event(dataset: Results, shown: list[Look], name: str, panel: Axes) -> 
     panel.set_ylabel(f"share with: {name.replace('_', ' ')}", parse_math=False)
     panel.locator_params(axis="x", nbins=6)
     panel.set_ylim(-0.02, 1.02)
-
-
-def _bands(
-    dataset: Results, setting: Setting, name: str, of: Callable[[Any], Array] = np.asarray
-) -> tuple[Array, Array]:
-    """Return times, and the PERCENTILES of `of` the column at each, (4, times)."""
-    table = percentiles_over_time(dataset, name, setting, PERCENTILES, of=of)
-    return as_array(table["t"]), np.stack([as_array(table[f"p{p:g}"]) for p in PERCENTILES])
