@@ -13,7 +13,7 @@ import numpy as np
 from lierb.analysis.case import Case
 from lierb.analysis.comparison_orders import FLOOR
 from lierb.analysis.comparison_tables import QUANTITIES
-from lierb.analysis.magnitudes import kinds_of
+from lierb.analysis.magnitudes import DRIFTS, kinds_of
 from lierb.analysis.reference import MARGIN, Ends, Reference, normed, rounding
 from lierb.errors import ArgumentError
 from lierb.methods.method import Method, StagedMethod
@@ -24,8 +24,6 @@ from lierb.results.failures import Failures
 from lierb.results.result import Result
 from lierb.runs.options import Options
 from lierb.support.representations import counted
-
-DRIFTS = {"position": "position_error", "rotation": "rotation_error", "energy": "energy_drift"}
 
 
 @dataclass(frozen=True)

@@ -16,6 +16,8 @@ from lierb.model.numbers import rigid_of
 from lierb.model.problem import Problem
 from lierb.support.arrays import Array, components, pose_components
 
+DRIFTS = {"position": "position_error", "rotation": "rotation_error", "energy": "energy_drift"}
+
 
 def kinds_of(model: Model) -> set[str]:
     """Return the kinds of constraint error of the joints: "position", "rotation"."""

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from lierb.analysis.magnitudes import magnitudes
+from lierb.analysis.magnitudes import DRIFTS, magnitudes
 from lierb.results.columns import as_array
 from lierb.studies.description.settings import Setting
 from lierb.studies.findings.columns import ok_columns, rows_of
@@ -15,11 +15,7 @@ from lierb.support.arrays import components, pose_matrix
 
 BODIES = 64  # number of bodies: the median's order of magnitude is enough
 STATE = {"rotation": 9, "position": 3, "omega": 3, "v": 3}
-ERRORS = {
-    "position": "position_error_max",
-    "rotation": "rotation_error_max",
-    "energy": "energy_drift_max",
-}
+ERRORS = {kind: f"{name}_max" for kind, name in DRIFTS.items()}
 NEGLIGIBLE = 1e-18  # largest error that counts as zero, relative to the problem's scale
 
 

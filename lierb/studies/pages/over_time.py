@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from lierb.analysis.magnitudes import DRIFTS
 from lierb.kernels.systems.measures import MEASURES
 from lierb.results.panels import MOST_KEYS, NO_TIMES, Sheet, label_lines, log_axes, positive
 from lierb.studies.findings.occurrences import event_names, first_times
@@ -20,7 +21,6 @@ from lierb.support.arrays import Array
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-HISTORY = {"position": "position_error", "rotation": "rotation_error", "energy": "energy_drift"}
 PROBABILITIES = (0.05, 0.5, 0.95, 1.0)  # of the quantiles drawn at each time
 RANKS = 2000  # most points of a distribution function
 IN_HISTORY = KNOWN | {measure.name for measure in MEASURES} - {"energy"}
@@ -30,7 +30,7 @@ def time_sheet(dataset: Results) -> Sheet:
     """Draw errors over time: median, 5 to 95 % and largest of the bodies."""
     seen, least, shown = errors_seen(dataset), least_drawn(dataset), looks(dataset.study)
     panels = [
-        partial(_draw_errors, dataset, shown, HISTORY[kind], least[kind], AXES[kind])
+        partial(_draw_errors, dataset, shown, DRIFTS[kind], least[kind], AXES[kind])
         for kind in seen
     ]
     return Sheet("errors over time: median, 5 to 95 %, largest", panels,
