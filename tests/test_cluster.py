@@ -159,7 +159,7 @@ def test_a_worker_left_behind_by_another_run_overwrites_nothing(tmp_path):
     before = hashes(tmp_path)
     other = study(sample={"seed": 4})
     place = tmp_path, (tmp_path / "study.toml").read_bytes()
-    cluster._run_part(other, Parts(other)[0], place, 1)
+    cluster._run_part(other, next(iter(Parts(other))), place, 1)
     now = hashes(tmp_path)
     assert {name: now[name] for name in before} == before
     assert all(name.endswith(".unfinished") for name in now.keys() - before.keys())

@@ -567,7 +567,7 @@ def test_start_time_is_that_of_the_study():
         columns = [np.array(table[name].to_pylist()) for table in tables]
         # rounding is tidied at steps that are counted from 0 s: 1e-15 of 10 rad/s
         np.testing.assert_allclose(*columns, rtol=0, atol=1e-13)
-    assert Parts(runs[1])[0].work(runs[1]) == 8 * 50
+    assert next(iter(Parts(runs[1]))).work(runs[1]) == 8 * 50
 
 
 def test_history_has_its_own_parts(tmp_path):

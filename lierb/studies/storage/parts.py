@@ -106,7 +106,7 @@ class Part:
 
 
 class Parts:
-    """All parts of a study, setting by setting; each is made when it is accessed.
+    """All parts of a study, setting by setting; each is made when it is reached.
 
     Names sort as the parts do: numbers are as wide as the study's largest.
     """
@@ -114,8 +114,7 @@ class Parts:
     def __init__(self, study: Study) -> None:
         self._study, self._settings = study, study.settings
         self._bodies, self._size = len(study.design), part_size(study)
-        self._each = -(-self._bodies // self._size)  # parts of a setting
-        self.total = self._each * len(self._settings)
+        self.total = -(-self._bodies // self._size) * len(self._settings)
         self._widths = (
             max(2, len(str(len(self._settings) - 1))), max(10, len(str(self._bodies - 1))),
         )  # fmt: skip
@@ -126,10 +125,6 @@ class Parts:
             for setting in range(len(self._settings))
             for first in range(0, self._bodies, self._size)
         )
-
-    def __getitem__(self, number: int) -> Part:
-        setting, n = divmod(number, self._each)
-        return self._part(setting, n * self._size)
 
     def named(self, name: str) -> Part | None:
         """Return the part of that name, or None."""
