@@ -81,8 +81,7 @@ def _first_of(arrays: Any) -> Any:
 
 def batch_of(study: StudyTables, first: int, count: int, design: Design | None = None) -> Batch:
     """Make and start the bodies first, …, first + count − 1; see `lierb.Study.batch`."""
-    draws = _drawn(design or study.design, first, count)
-    with _trajectories_named(draws, first, count):
+    with _drawn(design or study.design, first, count) as draws:
         return batch_at(study, draws, first, count)
 
 
@@ -95,17 +94,21 @@ def check_draws(study: StudyTables) -> None:
     bodies = min(len(design), MOST_CHECKED)
     for first in range(0, bodies, SLICE):
         count = min(SLICE, bodies - first)
-        draws = _drawn(design, first, count)
-        with _trajectories_named(draws, first, count):
+        with _drawn(design, first, count) as draws:
             problem, initial = _made(study, draws, first)
             if not isinstance(problem, Mechanism):  # whose loops take long to close
                 _started(study, problem, initial, first, count)
 
 
-def _drawn(design: Design, first: int, count: int) -> dict[str, Array]:
+@contextmanager
+def _drawn(design: Design, first: int, count: int) -> Iterator[dict[str, Array]]:
+    """Draw bodies; name the trajectory in errors about a number, `body: mass[6] is …`."""
     draws = design.draw(first, count)
     draws.pop(NOTHING, None)
-    return draws
+    try:
+        yield draws
+    except StudyError as error:
+        raise StudyError(_of_trajectory(str(error), draws, first, count)) from None
 
 
 def batch_at(study: StudyTables, draws: dict[str, Array], first: int, count: int) -> Batch:
@@ -236,15 +239,6 @@ def _started_mechanism(
 
 
 # ---- messages ----------------------------------------------------------------------------------
-
-
-@contextmanager
-def _trajectories_named(draws: Mapping[str, Array], first: int, count: int) -> Iterator[None]:
-    """Convert errors about a number of one of the bodies, `body: mass[6] is …`, to name it."""
-    try:
-        yield
-    except StudyError as error:
-        raise StudyError(_of_trajectory(str(error), draws, first, count)) from None
 
 
 def _of_trajectory(message: str, draws: Mapping[str, Array], first: int, count: int) -> str:
