@@ -122,17 +122,14 @@ def sizes_of(model: Model, ends: Ends, twist0: Any) -> dict[str, float]:
     with np.errstate(all="ignore"):  # a trajectory may diverge
         placed, moving = model.from_links(ends.poses), model.from_links(ends.twists)
         length, energy = (float(np.nanmedian(each)) for each in magnitudes(model, placed, moving))
-        speeds = {}
-        for name, part in (("omega", slice(0, 3)), ("v", slice(3, 6))):
-            each = [
-                float(np.nanmedian(np.linalg.norm(twist[..., part], axis=-1)))
-                for twist in (*starts.values(), *ends.twists.values())
-            ]
-            speeds[name] = max(each)
-    speeds["v"] = max(speeds["v"], length * speeds["omega"])
+        twists = (*starts.values(), *ends.twists.values())
+        omega, v = (
+            max(float(np.nanmedian(np.linalg.norm(twist[..., part], axis=-1))) for twist in twists)
+            for part in (slice(0, 3), slice(3, 6))
+        )
     return {
-        "error.rotation": 1.0, "error.position": length, "error.omega": speeds["omega"],
-        "error.v": speeds["v"],
+        "error.rotation": 1.0, "error.position": length, "error.omega": omega,
+        "error.v": max(v, length * omega),
         "drift.position": length, "drift.rotation": 1.0, "drift.energy": energy,
     }  # fmt: skip
 
