@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lierb.errors import ArgumentError
-from lierb.kernels.groups import so3
+from lierb.kernels.groups import quaternion, so3
 from lierb.sampling.distribution import (
     Distribution,
     common_shape,
@@ -171,13 +171,7 @@ class Rotation(Distribution):
         r1, r2 = np.sqrt(1.0 - u[0]), np.sqrt(u[0])
         w, x = r2 * np.cos(second), r1 * np.sin(first)
         y, z = r1 * np.cos(first), r2 * np.sin(second)
-        x2, y2, z2 = 2.0 * x, 2.0 * y, 2.0 * z
-        matrix = (
-            1.0 - (y2 * y + z2 * z), x2 * y - z2 * w, x2 * z + y2 * w,
-            x2 * y + z2 * w, 1.0 - (x2 * x + z2 * z), y2 * z - x2 * w,
-            x2 * z - y2 * w, y2 * z + x2 * w, 1.0 - (x2 * x + y2 * y),
-        )  # fmt: skip
-        return np.stack(so3.orthonormalised(matrix))
+        return np.stack(so3.orthonormalised(quaternion.matrix((w, x, y, z), twice=2.0)))
 
     @property
     def moments(self) -> tuple[Array, Array]:
