@@ -7,11 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from lierb.errors import PoseError, TwistError, body_label
+from lierb.errors import PoseError, TwistError
 from lierb.kernels.mechanics.newton_euler import BodyConstants, Kinematics
 from lierb.kernels.mechanics.rows import Row, Rows
 from lierb.kernels.mechanics.user_rows import UserRow
 from lierb.kernels.numbers.arithmetic import plain
+from lierb.support.arrays import first_bad
 
 Label = Callable[[int], str]  # name of a member's pose in messages
 
@@ -37,11 +38,11 @@ def _unfit(
     """
     for row, number in zip(rows, numbers, strict=True):
         each = np.atleast_1d(plain(number))
-        for body in np.flatnonzero(~np.isfinite(each))[:1]:
+        for body, label in first_bad(what, ~np.isfinite(each)):
+            unit = f"{'m' if row.is_translational else 'rad'}{per}"
             return (
-                f"{body_label(what, int(body), each.size)} that {row} prescribes is "
-                f"{each[body]} {'m' if row.is_translational else 'rad'}{per} at t0={t0:g} s, and "
-                f"no {start} has it; give a function that has a value there, or another t0"
+                f"{label} that {row} prescribes is {each[body]} {unit} at t0={t0:g} s, and no "
+                f"{start} has it; give a function that has a value there, or another t0"
             )
     return None
 

@@ -206,11 +206,16 @@ def as_positive(argument: str, value: ArrayLike, unit: str, *shape: int) -> Arra
     """Convert to positive numbers, with items of `shape` for one or several bodies."""
     array = as_numbers(argument, value, shape)
     items = array.reshape(-1, *shape)
-    bad = np.flatnonzero((items <= 0.0).reshape(len(items), -1).any(axis=1))
-    if bad.size:
-        label = body_label(argument, int(bad[0]), len(items))
-        raise ArgumentError(f"{label} is {items[bad[0]]} {unit}; expected positive numbers")
+    for body, label in first_bad(argument, (items <= 0.0).reshape(len(items), -1).any(axis=1)):
+        raise ArgumentError(f"{label} is {items[body]} {unit}; expected positive numbers")
     return array
+
+
+def first_bad(argument: str, is_bad: Any) -> Iterator[tuple[int, str]]:
+    """Yield the index and the label of the first body that is marked, if any is."""
+    marks = np.atleast_1d(is_bad)
+    for body in np.flatnonzero(marks)[:1].tolist():
+        yield body, body_label(argument, body, marks.size)
 
 
 def finite(what: str, array: Array) -> Array:
@@ -329,12 +334,10 @@ def as_poses(argument: str, value: Any, copy: bool | None = True) -> Array:
     of_joints = "; joint.pose and mechanism.pose make poses of the coordinates of joints"
     poses = as_numbers(argument, matrices, (4, 4), copy=copy, hint=of_joints)
     check_rotations(argument, poses[..., :3, :3])
-    first = 0
-    for part in slices(_unequal(poses.reshape(-1, 4, 4))):
-        for body in np.flatnonzero((part[:, 3] != (0.0, 0.0, 0.0, 1.0)).any(axis=-1))[:1]:
-            label = body_label(argument, first + int(body), poses.size // 16)
+    for number, part in enumerate(slices(_unequal(poses.reshape(-1, 4, 4)))):
+        for body in np.flatnonzero((part[:, 3] != (0.0, 0.0, 0.0, 1.0)).any(axis=-1))[:1].tolist():
+            label = body_label(argument, number * SLICE + body, poses.size // 16)
             raise PoseError(f"{label} is no homogeneous matrix: its last row must be (0, 0, 0, 1)")
-        first += len(part)
     return poses
 
 
@@ -372,20 +375,19 @@ def as_matrix(argument: str, value: Any) -> Any:
 
 def check_rotations(argument: str, matrices: Array) -> None:
     """Raise PoseError unless all matrices are orthogonal and right-handed."""
-    first = 0
-    for part in slices(_unequal(matrices.reshape(-1, 3, 3))):
+    for number, part in enumerate(slices(_unequal(matrices.reshape(-1, 3, 3)))):
         with np.errstate(all="ignore"):  # large entries may overflow
             r: Vec = tuple(np.ascontiguousarray(part.reshape(-1, 9).T))
             excess = tuple(g - float(i % 4 == 0) for i, g in enumerate(mat_t_mat(r, r)))
             errors = np.sqrt(dot(excess, excess))
             volume = dot(r[:3], cross(r[3:6], r[6:]))
             bad = ~((errors <= ROTATION_TOLERANCE) & (volume > 0.0))  # NaN is bad
-        for body in np.flatnonzero(bad)[:1]:
+        for body in np.flatnonzero(bad)[:1].tolist():
             error = errors[body]
             size = f"{error:.2g}" if np.isfinite(error) else "beyond all numbers"
             what = "is a reflection" if error <= ROTATION_TOLERANCE else f"has ‖RᵀR − I‖ = {size}"
+            label = body_label(argument, number * SLICE + body, matrices.size // 9)
             raise PoseError(
-                f"the rotation of {body_label(argument, first + int(body), matrices.size // 9)} "
-                f"{what}; expected a rotation matrix to {ROTATION_TOLERANCE:g}"
+                f"the rotation of {label} {what}; expected a rotation matrix to "
+                f"{ROTATION_TOLERANCE:g}"
             )
-        first += len(part)

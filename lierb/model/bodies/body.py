@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lierb.errors import InertiaError, body_label, require_name, two_readings
+from lierb.errors import InertiaError, require_name, two_readings
 from lierb.errors.synonyms import BODY_ARGUMENTS
 from lierb.kernels.mechanics.newton_euler import unit_inertia
 from lierb.support.arrays import (
@@ -18,6 +18,7 @@ from lierb.support.arrays import (
     assembled,
     batch_size,
     components,
+    first_bad,
     items_at,
 )
 from lierb.support.keywords import explains_keywords
@@ -96,7 +97,8 @@ class Body(Represented):
         if not (moments.ndim >= 2 and moments.shape[-2:] == (3, 3)):
             moments = moments[..., :, None] * np.eye(3)
         batch_size(mass=masses, inertia=(moments, 2), com=(centre, 1))
-        _check_mass(masses)
+        for body, label in first_bad("mass", masses <= 0.0):
+            raise InertiaError(f"{label} is {masses.flat[body]} kg; expected a positive mass")
         moments = _checked_symmetric(moments)
         if about == "com":
             moments = moved_inertia(masses, moments, centre, 1.0)
@@ -127,24 +129,13 @@ def _shown_inertia(moments: Array) -> str:
     return f"{quantity(np.diag(moments.reshape(3, 3)), item_axes=1)} kg m², principal"
 
 
-def _check_mass(masses: Array) -> None:
-    bad = np.flatnonzero(np.atleast_1d(masses) <= 0.0)
-    if bad.size:
-        label = body_label("mass", int(bad[0]), masses.size)
-        raise InertiaError(
-            f"{label} is {np.atleast_1d(masses)[bad[0]]} kg; expected a positive mass"
-        )
-
-
 def _checked_symmetric(moments: Array) -> Array:
     flat = moments.reshape(-1, 3, 3)
     size = np.abs(flat).max(axis=(1, 2))
     skew = np.abs(flat - flat.transpose(0, 2, 1)).max(axis=(1, 2))
-    bad = np.flatnonzero(skew > SYMMETRY_TOLERANCE * size)
-    if bad.size:
-        label = body_label("inertia", int(bad[0]), len(flat))
+    for body, label in first_bad("inertia", skew > SYMMETRY_TOLERANCE * size):
         raise InertiaError(
-            f"{label} is not symmetric: entries differ by {skew[bad[0]]:.3g} kg m²; "
+            f"{label} is not symmetric: entries differ by {skew[body]:.3g} kg m²; "
             "give (I + I.T) / 2. A shape (3, 3) is read as one matrix, not as three bodies: "
             f"give {MOMENTS_OF_EACH} for the principal moments of three"
         )
@@ -161,12 +152,11 @@ def moved_inertia(masses: Array, moments: Array, centre: Array, sign: float) -> 
     shift = unit_inertia(components(centre))
     parts = zip(components(moments, 2), shift, strict=True)
     moved = assembled(tuple(i + sign * (masses * s) for i, s in parts), 3, 3)
-    flat = moved.reshape(-1, 9)
-    for body in np.flatnonzero(~np.isfinite(flat).all(axis=1))[:1]:
+    for _, label in first_bad("inertia", ~np.isfinite(moved.reshape(-1, 9)).all(axis=1)):
         raise InertiaError(
-            f"{body_label('inertia', int(body), len(flat))} has no inertia about the "
-            f"{'origin' if sign > 0.0 else 'centre of mass'}: mass times the square of com is "
-            "beyond all numbers; give smaller numbers, or choose larger units"
+            f"{label} has no inertia about the {'origin' if sign > 0.0 else 'centre of mass'}: "
+            "mass times the square of com is beyond all numbers; give smaller numbers, or choose "
+            "larger units"
         )
     return moved
 
@@ -187,20 +177,21 @@ def _objection(about_com: Array, rounding: Array | float) -> str:
     """Message unless the inertia is positive definite with moments A + B ≥ C, or ""."""
     flat = about_com.reshape(-1, 3, 3)
     principal = np.linalg.eigvalsh(flat)
-    for body in np.flatnonzero(principal[:, 0] <= 0.0)[:1]:
+    for body, label in first_bad("inertia", principal[:, 0] <= 0.0):
         message = (
-            f"{body_label('inertia', int(body), len(flat))} is not positive definite: its "
-            f"principal moments about the centre of mass are {_listed(principal[body])} kg m²"
+            f"{label} is not positive definite: its principal moments about the centre of mass "
+            f"are {_listed(principal[body])} kg m²"
         )
         if not np.any(flat[body]):
             message += "; for a point mass take lierb.bodies.sphere with a small radius"
         return message
     excess = principal[:, 2] - principal[:, 0] - principal[:, 1]
-    for body in np.flatnonzero(excess > TRIANGLE_TOLERANCE * principal[:, 2] + rounding)[:1]:
+    allowed = TRIANGLE_TOLERANCE * principal[:, 2] + rounding
+    for body, label in first_bad("inertia", excess > allowed):
         return (
-            f"{body_label('inertia', int(body), len(flat))} belongs to no rigid body: the largest "
-            f"of the principal moments {_listed(principal[body])} kg m² about the centre of mass "
-            "exceeds the sum of the two others"
+            f"{label} belongs to no rigid body: the largest of the principal moments "
+            f"{_listed(principal[body])} kg m² about the centre of mass exceeds the sum of the two "
+            "others"
         )
     return ""
 
@@ -213,11 +204,9 @@ def _listed(numbers: Array) -> str:
 def _check_gyration(masses: Array, moments: Array) -> None:
     """Raise InertiaError if tr Θ/m, the square of the unit of length, overflows."""
     traces = np.trace(moments, axis1=-2, axis2=-1)
-    squares = np.atleast_1d(traces / masses)
-    for body in np.flatnonzero(~np.isfinite(squares))[:1]:
-        mass, trace = (np.broadcast_to(x, squares.shape)[body] for x in (masses, traces))
+    for body, label in first_bad("mass", ~np.isfinite(traces / masses)):
+        mass, trace = (x.flat[body] for x in np.broadcast_arrays(masses, traces))
         raise InertiaError(
-            f"{body_label('mass', int(body), squares.size)} is {mass} kg beside an inertia of "
-            f"trace {trace} kg m²: the radius of gyration is beyond all numbers; give those of one "
-            "body, or choose other units"
+            f"{label} is {mass} kg beside an inertia of trace {trace} kg m²: the radius of "
+            "gyration is beyond all numbers; give those of one body, or choose other units"
         )

@@ -16,7 +16,7 @@ from lierb.kernels.mechanics.newton_euler import Frames
 from lierb.kernels.numbers.arithmetic import sqrt, where
 from lierb.kernels.numbers.vec import Vec, cross, dot
 from lierb.model.functions.wrenches import Force
-from lierb.support.arrays import Array
+from lierb.support.arrays import Array, first_bad
 
 ORIGIN = (0.0, 0.0, 0.0)
 SIZE = 6  # of a matrix on twists: three axes of rotation, then of translation
@@ -77,10 +77,10 @@ class BuiltIn(Element):
 
     def require_fit(self, parameters: Mapping[str, Array]) -> None:
         for name in (n for n, p in self.parameters.items() if not p.is_signed):
-            array = np.atleast_1d(parameters[name])
-            for body in np.flatnonzero(array < 0.0)[:1]:
-                label = body_label(name, int(body), array.size)
-                raise ArgumentError(f"{label} is {array[body]}; expected zero or a positive number")
+            array = parameters[name]
+            for body, label in first_bad(name, array < 0.0):
+                number = array.flat[body]
+                raise ArgumentError(f"{label} is {number}; expected zero or a positive number")
 
     def placed(self, values: dict[str, Any], frames: Frames) -> tuple[Any, ...]:
         own = self.parameters

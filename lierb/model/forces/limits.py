@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lierb.errors import ArgumentError, body_label
+from lierb.errors import ArgumentError
 from lierb.kernels.mechanics.elements import Tangent
 from lierb.kernels.mechanics.kinks import Bound
 from lierb.kernels.mechanics.newton_euler import Motion, Wrench
@@ -16,7 +16,7 @@ from lierb.kernels.numbers.arithmetic import PI, absolute, fma, maximum, minimum
 from lierb.model.forces.built_in import Parameter
 from lierb.model.forces.joint_axes import AlongJoint, AtJoint, sliding
 from lierb.model.functions.wrenches import Force
-from lierb.support.arrays import Array
+from lierb.support.arrays import Array, first_bad
 
 __all__ = ["joint_limit", "slide_limit"]
 
@@ -181,15 +181,14 @@ def slide_limit(
 
 
 def _require_order(lower: Array, upper: Array, turn: float) -> None:
-    lows, highs = (np.atleast_1d(x) for x in np.broadcast_arrays(lower, upper))
-    for body in np.flatnonzero(lows > highs)[:1]:
-        label = body_label("lower", int(body), lows.size)
-        below, above = float(lows[body]), float(highs[body])
-        raise ArgumentError(f"{label} is {below}, above upper, {above}; expected lower ≤ upper")
-    for body in np.flatnonzero(highs - lows >= turn)[:1]:
-        label = body_label("upper", int(body), lows.size)
+    lows, highs = np.broadcast_arrays(lower, upper)
+    for body, label in first_bad("lower", lows > highs):
         raise ArgumentError(
-            f"{label} is {float(highs[body])} rad, a turn or more above lower, "
-            f"{float(lows[body])}: stops that know the pose alone would never act; expected less "
-            "than 2π between them, or turns= the name of a lierb.turns that counts them"
+            f"{label} is {lows.flat[body]}, above upper, {highs.flat[body]}; expected lower ≤ upper"
+        )
+    for body, label in first_bad("upper", highs - lows >= turn):
+        raise ArgumentError(
+            f"{label} is {highs.flat[body]} rad, a turn or more above lower, {lows.flat[body]}: "
+            "stops that know the pose alone would never act; expected less than 2π between them, "
+            "or turns= the name of a lierb.turns that counts them"
         )

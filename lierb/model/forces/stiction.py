@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lierb.errors import ArgumentError, body_label
+from lierb.errors import ArgumentError
 from lierb.kernels.functions.elementary import exp
 from lierb.kernels.functions.shapes import Shapes
 from lierb.kernels.mechanics.elements import Tangent
@@ -21,7 +21,7 @@ from lierb.model.forces.built_in import Parameter
 from lierb.model.forces.joint_axes import AlongJoint, AtJoint, sliding
 from lierb.model.functions.named_values import require_attribute
 from lierb.model.functions.wrenches import Force
-from lierb.support.arrays import Array, as_positive
+from lierb.support.arrays import Array, as_positive, first_bad
 
 __all__ = ["joint_stiction", "slide_stiction"]
 
@@ -55,8 +55,7 @@ class JointStiction(AtJoint, AddedStates):
         for name in ("coulomb", "stribeck"):
             as_positive(name, parameters[name], self.parameters[name].unit)
         coulomb, static = np.broadcast_arrays(parameters["coulomb"], parameters["static"])
-        for body in np.flatnonzero(static < coulomb)[:1]:
-            label = body_label("static", int(body), static.size)
+        for body, label in first_bad("static", static < coulomb):
             raise ArgumentError(
                 f"{label} is {static.flat[body]}, less than coulomb, {coulomb.flat[body]}; "
                 "friction at rest is at least that of sliding"

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lierb.errors import ArgumentError, body_label
+from lierb.errors import ArgumentError
 from lierb.kernels.numbers.vec import Vec, cross, dot, norm, scale, sub
 from lierb.support.arrays import (
     Array,
@@ -15,6 +15,7 @@ from lierb.support.arrays import (
     as_poses,
     batch_size,
     components,
+    first_bad,
     pose_components,
     pose_matrix,
 )
@@ -82,9 +83,7 @@ def _direction(argument: str, value: ArrayLike) -> Vec:
     """Return the unit vector along `value`."""
     array = as_numbers(argument, value, (3,))
     largest = np.abs(array).max(axis=-1)
-    zero = np.flatnonzero(largest == 0.0)
-    if zero.size:
-        label = body_label(argument, int(zero[0]), largest.size)
+    for _, label in first_bad(argument, largest == 0.0):
         raise ArgumentError(f"{label} is the zero vector; expected a direction")
     exponent = np.frexp(largest)[1]  # scaling by a power of two is exact, and no square overflows
     return _unit(components(np.ldexp(array, -exponent[..., None])))
@@ -95,11 +94,9 @@ def _perpendicular(argument: str, value: ArrayLike, e3: Vec) -> Vec:
     e = _direction(argument, value)
     slant = dot(e, e3)
     cosines = np.atleast_1d(np.abs(slant))
-    bad = np.flatnonzero(cosines > PERPENDICULAR_TOLERANCE)
-    if bad.size:
-        label = body_label(argument, int(bad[0]), cosines.size)
+    for body, label in first_bad(argument, cosines > PERPENDICULAR_TOLERANCE):
         raise ArgumentError(
-            f"{label} is not perpendicular to axis: the cosine is {cosines[bad[0]]:.3g}"
+            f"{label} is not perpendicular to axis: the cosine is {cosines[body]:.3g}"
         )
     return _unit(sub(e, scale(slant, e3)))
 

@@ -37,7 +37,7 @@ from lierb.model.mechanism.row_system import (
     wrong_way,
 )
 from lierb.model.unfit import unfit_constraint, unfit_rate
-from lierb.support.arrays import Array, as_poses, components, items_at, pose_components
+from lierb.support.arrays import Array, as_poses, components, first_bad, items_at, pose_components
 
 EVEN_SO = '(check="warn" integrates it all the same, but not on "reduced")'
 
@@ -290,10 +290,10 @@ def immobile(mechanism: TreeKinematics, pose: Any) -> ArgumentError | None:
         return None
     poses = [pose[name] for name in mechanism.names]
     free, redundant = map(np.atleast_1d, mobility(mechanism, poses))
-    for number in np.flatnonzero(free == 0)[:1].tolist():
+    for number, label in first_bad("pose0", free == 0):
         return ArgumentError(
-            f"{body_label('pose0', number, len(free))}: the mechanism cannot move, its joints and "
-            f"loops leave no freedom ({int(redundant[number])} of their rows are redundant); take "
-            "joints with more freedoms, such as spherical or universal, or leave a loop out"
+            f"{label}: the mechanism cannot move, its joints and loops leave no freedom "
+            f"({int(redundant[number])} of their rows are redundant); take joints with more "
+            "freedoms, such as spherical or universal, or leave a loop out"
         )
     return None
