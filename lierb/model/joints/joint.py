@@ -345,9 +345,12 @@ class Joint(Represented):
         else:
             relative, size = self.at_coordinates("coordinates", coordinates)
         batch_size(**size, **self._frames, pitch=self.pitch)
+        return finite("the pose", pose_matrix(self.pose_of(relative)))
+
+    def pose_of(self, relative: Pose) -> Pose:
+        """Return the pose G D B⁻¹ of the body in the ground or parent, for a relative pose D."""
         ground, body = pose_components(self.ground_frame), pose_components(self.body_frame)
-        placed = se3.compose(se3.compose(ground, relative), se3.inverse(body))
-        return finite("the pose", pose_matrix(placed))
+        return se3.compose(se3.compose(ground, relative), se3.inverse(body))
 
     def at_coordinates(self, argument: str, given: Any) -> tuple[Pose, Sizes]:
         """Return D for coordinates, and the argument for `batch_size`."""

@@ -183,9 +183,7 @@ class TreeKinematics(Tree):
             relative, size = relative_of(argument, place, joint)
             sizes |= size
             self.batch_size(**sizes)
-            ground, body = pose_components(joint.ground_frame), pose_components(joint.body_frame)
-            local = se3.compose(se3.compose(ground, relative), se3.inverse(body))
-            parent = self.parents[i]
+            local, parent = joint.pose_of(relative), self.parents[i]
             poses[i] = local if parent == NOWHERE else se3.compose(poses[parent], local)
         return _alike({n: pose_matrix(poses[i]) for i, n in enumerate(self.names)}, "pose", 2)
 

@@ -75,7 +75,7 @@ def _placed(joint: Joint, initial: Initial) -> Array | None:
         return joint.pose(coordinates=initial["coordinates"])
     if not placed:
         return None
-    return pose_matrix(_on(joint, _turned_and_placed(initial)))
+    return pose_matrix(joint.pose_of(_turned_and_placed(initial)))
 
 
 def _turned_and_placed(initial: Initial) -> Pose:
@@ -83,12 +83,6 @@ def _turned_and_placed(initial: Initial) -> Pose:
     turn = as_rotations("rotation", initial.get("rotation", np.eye(3)))
     place = as_numbers("place", initial.get("place", (0.0, 0.0, 0.0)), (3,))
     return components(turn, 2), components(place)
-
-
-def _on(joint: Joint, relative: Pose) -> Pose:
-    """Return the pose of the body relative to the ground or parent, G D B⁻¹."""
-    ground, body = (pose_components(f) for f in (joint.ground_frame, joint.body_frame))
-    return se3.compose(se3.compose(ground, relative), se3.inverse(body))
 
 
 # ---- mechanisms --------------------------------------------------------------------------------
@@ -175,7 +169,7 @@ def _poses(mechanism: Mechanism, initial: Mapping[str, Initial]) -> dict[int, Po
             relative = _turned_and_placed(given)
         else:
             relative = _of_coordinates(link.name, link.joint, given.get("coordinates"))
-        local, parent = _on(link.joint, relative), mechanism.parents[i]
+        local, parent = link.joint.pose_of(relative), mechanism.parents[i]
         poses[i] = local if parent == NOWHERE else se3.compose(poses[parent], local)
     return poses
 
