@@ -134,16 +134,15 @@ class SpeedRow(PrescribedRow):
     """Constraint row q̇ = w(t), q the angle or the slide."""
 
     is_holonomic = False
-
-    def prescribed_rate(self, x: Kinematics, body: HeldBody) -> Any:
-        return self.given(x, body)
-
-    def prescribed_slope(self, x: Kinematics, body: HeldBody) -> Any:
-        return self.slope(x, body)
+    prescribed_rate = PrescribedRow.given
+    prescribed_slope = PrescribedRow.slope
 
 
 class PositionRow(PrescribedRow):
     """Constraint row q = f(t); angles are compared up to whole turns."""
+
+    prescribed_place = PrescribedRow.given
+    prescribed_rate = PrescribedRow.slope
 
     def value(self, x: Kinematics, body: HeldBody) -> Any:
         return self.distance(x, self.given(x, body))
@@ -152,12 +151,6 @@ class PositionRow(PrescribedRow):
         own = constant_in_time(self.placed(body))
         moving = self.element.at(own, second(x.time, 1.0, ZERO))
         return slope_of(slope_of(moving))
-
-    def prescribed_rate(self, x: Kinematics, body: HeldBody) -> Any:
-        return self.slope(x, body)
-
-    def prescribed_place(self, x: Kinematics, body: HeldBody) -> Any:
-        return self.given(x, body)
 
 
 def motor(
