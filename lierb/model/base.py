@@ -37,6 +37,7 @@ from lierb.model.numbers import (
     by_field,
     elements_with,
     joint_with,
+    qualified,
 )
 from lierb.support.arrays import (
     Array,
@@ -247,9 +248,9 @@ class Model(Represented):
         """Arrays with a number for each member, by name, with the number of axes of one item."""
         entries = {"gravity": (self.gravity, 1)}
         for name, body in zip(self.link_names, self.bodies, strict=True):
-            entries |= {_joined(name, k): (getattr(body, k), n) for k, n in BODY.items()}
+            entries |= {qualified(name, k): (getattr(body, k), n) for k, n in BODY.items()}
         for at in self.joints:
-            entries |= {_joined(at.name, k): (getattr(at.joint, k), n) for k, n in JOINT.items()}
+            entries |= {qualified(at.name, k): (getattr(at.joint, k), n) for k, n in JOINT.items()}
         for number, element in enumerate(self.elements):
             for k, shape in element.kind.shapes.items():
                 name = ".".join((*element.at, element.name, k))
@@ -423,7 +424,3 @@ class Model(Represented):
         number : index of the only member to check. Default: check all.
         """
         raise NotImplementedError
-
-
-def _joined(owner: str, name: str) -> str:
-    return f"{owner}.{name}" if owner else name

@@ -58,24 +58,28 @@ class Place(NamedTuple):
     binds: bool = False
 
 
+def qualified(owner: str, name: str) -> str:
+    """Return a name after that of its link, loop or element; the single body has none."""
+    return f"{owner}.{name}" if owner else name
+
+
 def places_of(model: Any) -> dict[str, Place]:
     """Return the place of each number of a model, by name."""
     places = {"gravity": Place("gravity", ((3,),), "m/s²")}
     for name, field in zip(model.link_names, model.fields, strict=True):
-        prefix = f"{name}." if name else ""
         for own, shapes in {"mass": ((),), "com": ((3,),), "inertia": INERTIA}.items():
-            unit = INPUTS.field(own).unit
-            places[f"{prefix}body.{own}"] = Place(f"{field}{own}", shapes, unit)
+            place = Place(f"{field}{own}", shapes, INPUTS.field(own).unit)
+            places[qualified(name, f"body.{own}")] = place
     for at, field in zip(model.joints, model.joint_fields, strict=True):
-        prefix = f"{at.name}.joint." if at.name else "joint."
+        prefix = qualified(at.name, "joint")
         for point, frame in POINTS.items():
             if at.name or point != "parent_point":
                 place = Place(f"{field}{frame}", ((3,),), "m", "point", binds=True)
-                places[f"{prefix}{point}"] = place
+                places[f"{prefix}.{point}"] = place
         for name, unit in parameters_of_rows(at.joint.rows).items():
-            places[f"{prefix}{name}"] = Place(f"{field}{name}", ((),), unit, binds=True)
+            places[f"{prefix}.{name}"] = Place(f"{field}{name}", ((),), unit, binds=True)
         for frame in FRAMES:
-            places[f"{prefix}{frame}"] = Place(f"{field}{frame}", ((4, 4),), kind="frame")
+            places[f"{prefix}.{frame}"] = Place(f"{field}{frame}", ((4, 4),), kind="frame")
     for element, label, field in labelled(model):
         binds = bool(element.kind.rows)
         period = (EVERY,) if isinstance(element.kind, UserController) else ()

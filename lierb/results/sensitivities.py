@@ -14,6 +14,7 @@ from lierb.kernels.systems.layout import Columns
 from lierb.kernels.systems.measures import MEASURES
 from lierb.kernels.systems.observables import DIFFERENTIATED
 from lierb.model.base import Model
+from lierb.model.numbers import qualified
 from lierb.results.columns import as_array, numbers, vectors
 from lierb.results.tables import REACTION_UNITS
 from lierb.runs.derivatives import Derivatives
@@ -197,10 +198,9 @@ def _quantities(columns: Columns, model: Model) -> Iterator[_Quantity]:
     """Yield the differentiated quantities, in the order of their columns."""
     start = columns["links"].start
     for link in model.link_names:
-        prefix = f"{link}." if link else ""
-        yield _Quantity(f"{prefix}pose", slice(start, start + 6), (6,), POSE_UNITS)
-        yield _Quantity(f"{prefix}twist", slice(start + 6, start + 12), (6,), TWIST_UNITS)
-        start += 12
+        for name, units in (("pose", POSE_UNITS), ("twist", TWIST_UNITS)):
+            yield _Quantity(qualified(link, name), slice(start, start + 6), (6,), units)
+            start += 6
     for name, shape, unit in model.signals:
         yield _Quantity(name, slice(start, start + prod(shape)), shape, unit)
         start += prod(shape)
@@ -212,13 +212,12 @@ def _quantities(columns: Columns, model: Model) -> Iterator[_Quantity]:
     start = columns["multipliers"].start
     for name, rows in model.rows_by_name if columns.field("multipliers").width else ():
         if rows:
-            label = f"{name}.lambda" if name else "lambda"
             part, units = slice(start, start + len(rows)), ", ".join(row.unit for row in rows)
-            yield _Quantity(label, part, (len(rows),), units)
+            yield _Quantity(qualified(name, "lambda"), part, (len(rows),), units)
         start += len(rows)
     start = columns["reactions"].start
     names = model.joint_names or ("",)
     for name in names if columns.field("reactions").width else ():
-        label = f"{name}.reaction" if name else "reaction"
+        label = qualified(name, "reaction")
         yield _Quantity(label, slice(start, start + 6), (6,), REACTION_UNITS)
         start += 6

@@ -22,6 +22,7 @@ from lierb.kernels.systems.signals import outputs_of, signals_width, states_of
 from lierb.kernels.systems.system_of import system_of
 from lierb.model.base import Model
 from lierb.model.functions.wrenches import Force
+from lierb.model.numbers import qualified
 from lierb.results.columns import each_row, numbers, numbers_of, texts, vectors
 from lierb.results.failures import RAISED_KEY, STATUS_NAMES
 from lierb.runs.output import Output
@@ -113,7 +114,7 @@ def history_row_bytes(model: Model, recorded: Iterable[str]) -> int:
     numbers_in += len(model.observables) + len(JOINT_ERRORS) * len(joints)
     numbers_in += sum(prod(shape) for _, shape, _ in model.signals)
     if "state" in recorded:
-        numbers_in += POSE_AND_TWIST.count * len(_prefixes(model))
+        numbers_in += POSE_AND_TWIST.count * len(model.link_names)
     if "multipliers" in recorded:
         numbers_in += sum(len(rows) for _, rows in model.rows_by_name)
     if "reaction" in recorded:
@@ -124,7 +125,7 @@ def history_row_bytes(model: Model, recorded: Iterable[str]) -> int:
 def event_row_bytes(model: Model) -> int:
     """Return the size of a row of `events_table`, bytes."""
     signals = sum(prod(shape) for _, shape, _ in model.signals)
-    return 8 * (2 + POSE_AND_TWIST.count * len(_prefixes(model)) + signals) + 1
+    return 8 * (2 + POSE_AND_TWIST.count * len(model.link_names) + signals) + 1
 
 
 def summary_table(output: Output, metadata: str, model: Model) -> pa.Table:
@@ -146,7 +147,7 @@ def summary_table(output: Output, metadata: str, model: Model) -> pa.Table:
     more = each_row(output.observed)
     of_joints = _in_parts(more[len(watched) :], len(JOINT_KEPT))
     for joint, kept in zip(model.joint_names, of_joints, strict=True):
-        columns |= _kept(f"{joint}.", JOINT_KEPT, kept)
+        columns |= _kept(joint, JOINT_KEPT, kept)
     columns |= _states(model, map(output.state_of, range(len(model.link_names))))
     columns |= {name: (column, unit) for (name, unit), column in zip(watched, more, strict=False)}
     columns |= _signals_of(model, output.signals)
@@ -186,10 +187,9 @@ def history_table(
     if "multipliers" in recorded and plan.rows:  # Parquet has no lists of length 0
         columns |= _multipliers_of(model, output.multipliers)
     if "reaction" in recorded:
-        joints = [f"{name}." for name in model.joint_names] or [""]
-        for number, prefix in enumerate(joints):
+        for number, joint in enumerate(model.joint_names or ("",)):
             part = output.reactions[len(saved) * number : len(saved) * (number + 1)]
-            columns[f"{prefix}reaction"] = vectors(part), REACTION_UNITS
+            columns[qualified(joint, "reaction")] = vectors(part), REACTION_UNITS
     columns |= {
         each.name: (column, each.unit) for each, column in zip(observables, rows[len(measures) :])
     }
@@ -219,18 +219,18 @@ def events_table(output: Output, metadata: str, model: Model) -> pa.Table:
 
 
 def _kept(
-    prefix: str, kept: Sequence[tuple[Measure, str]], columns: Sequence[pa.Array]
+    joint: str, kept: Sequence[tuple[Measure, str]], columns: Sequence[pa.Array]
 ) -> dict[str, Column]:
     """Return the columns of measures in a summary."""
     named = zip(kept, columns, strict=True)
-    return {f"{prefix}{m.name}_{how}": (column, m.unit) for (m, how), column in named}
+    return {qualified(joint, f"{m.name}_{how}"): (c, m.unit) for (m, how), c in named}
 
 
 def _states(model: Model, of_links: Iterable[Iterable[NDArray]]) -> dict[str, Column]:
     """Return the columns of poses and twists.   of_links : arrays of their fields, by link."""
     return {
-        prefix + field.name: (vectors(array), field.unit)
-        for prefix, arrays in zip(_prefixes(model), of_links, strict=True)
+        qualified(link, field.name): (vectors(array), field.unit)
+        for link, arrays in zip(model.link_names, of_links, strict=True)
         for field, array in zip(POSE_AND_TWIST.fields, arrays, strict=True)
     }
 
@@ -249,11 +249,6 @@ def _in_parts(columns: list[pa.Array], width: int) -> Iterator[list[pa.Array]]:
     return (columns[i : i + width] for i in range(0, len(columns), width))
 
 
-def _prefixes(model: Model) -> list[str]:
-    """Return the prefix of the columns of each link."""
-    return [f"{name}." if name else "" for name in model.link_names]
-
-
 def _multipliers_of(model: Model, multipliers: NDArray) -> dict[str, Column]:
     """Return the columns of λ of the joints that have rows."""
     columns, first = {}, 0
@@ -261,7 +256,7 @@ def _multipliers_of(model: Model, multipliers: NDArray) -> dict[str, Column]:
         if rows:
             part = np.ascontiguousarray(multipliers[..., first : first + len(rows)])
             units = ", ".join(row.unit for row in rows)
-            columns[f"{name}.lambda" if name else "lambda"] = vectors(part), units
+            columns[qualified(name, "lambda")] = vectors(part), units
         first += len(rows)
     return columns
 

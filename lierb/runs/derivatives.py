@@ -21,6 +21,7 @@ from lierb.kernels.systems.signals import events_of
 from lierb.kernels.systems.state import DT_MIN, EVENT, MAX_STEPS, OK
 from lierb.kernels.systems.system_of import plan_with_derivatives
 from lierb.model.base import Model
+from lierb.model.numbers import qualified
 from lierb.runs import engine
 from lierb.runs.continuation import EndDerivatives
 from lierb.runs.inputs import Inputs
@@ -145,9 +146,7 @@ def unfit_names(ready: Ready, parameters: tuple[Parameter, ...]) -> Iterator[str
 def fixed_names(ready: Ready) -> set[str]:
     """Return the names of parameters that cannot change in a run."""
     links = zip(ready.model.link_names, ready.options.formulation.cspaces, strict=True)
-    return {
-        f"{link}.body.com" if link else "body.com" for link, space in links if space == "SO3xR3"
-    }
+    return {qualified(link, "body.com") for link, space in links if space == "SO3xR3"}
 
 
 def integrate_with_derivatives(

@@ -13,7 +13,7 @@ import numpy as np
 from lierb.errors import ArgumentError, LierbError, brief, items_of, unknown_name
 from lierb.model.acting import ELEMENTS
 from lierb.model.base import Model
-from lierb.model.numbers import INERTIA, Place, labelled, places_of
+from lierb.model.numbers import INERTIA, Place, labelled, places_of, qualified
 from lierb.runs.start_directions import (
     JOINT,
     POSE,
@@ -174,8 +174,7 @@ def _parameters(model: Model) -> Iterator[Parameter]:
     for link, owner in enumerate(model.link_names):
         for name, (count, unit, follows) in STARTS.items():
             seeds, fields = partial(_start_units, model, link, name), _start_fields(model, name)
-            full = f"{owner}.{name}" if owner else name
-            yield Parameter(full, count, unit, fields, seeds, follows=follows)
+            yield Parameter(qualified(owner, name), count, unit, fields, seeds, follows=follows)
     for name, place in places_of(model).items():
         if place.kind not in ("frame", "time"):
             parameter = partial(_geometric, model) if place.binds else _plain
