@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 
 from lierb.compiler.code import compiled, is_ready
 from lierb.errors import ArgumentError
-from lierb.kernels.groups.lie_functions import SIGNATURES, LieFunction, apply, width
+from lierb.kernels.groups.lie_functions import SIGNATURES, LieFunction, apply
 from lierb.kernels.tracing.cpu import DEFAULT_LANES
 from lierb.support.arrays import FEWER, Array, as_floats, as_matrix
 from lierb.support.forks import check_compiler
@@ -158,7 +158,7 @@ class Group:
         >>> lierb.lie.se3.Ad(lierb.lie.se3.exp([0, 0, 0, 1.0, 0, 0]), [0, 0, 1.0, 0, 0, 0]).tolist()
         [0.0, 0.0, 1.0, 0.0, -1.0, 0.0]
         """
-        return self._call("Ad", C, X) if X is not None else self._matrix("Ad", C, 2)
+        return self._linear("Ad", C, X)
 
     def ad(self, X: ArrayLike, Y: ArrayLike | None = None) -> Array:
         """Compute the bracket [X, Y] = ad_X Y, or the matrix ad_X.
@@ -181,7 +181,7 @@ class Group:
         >>> lierb.lie.so3.ad([1.0, 0, 0], [0, 1.0, 0]).tolist()
         [0.0, 0.0, 1.0]
         """
-        return self._call("ad", X, Y) if Y is not None else self._matrix("ad", X, 1)
+        return self._linear("ad", X, Y)
 
     def dexp(self, X: ArrayLike, Y: ArrayLike | None = None) -> Array:
         """Compute the right-trivialised differential, dexp_X Ẋ = ĊC⁻¹ for C = exp X, or its matrix.
@@ -204,7 +204,7 @@ class Group:
         >>> lierb.lie.se3.dexp([0.1, 0.2, 0.3, 1.0, 2.0, 3.0]).shape
         (6, 6)
         """
-        return self._call("dexp", X, Y) if Y is not None else self._matrix("dexp", X, 1)
+        return self._linear("dexp", X, Y)
 
     def dexpinv(self, X: ArrayLike, V: ArrayLike | None = None) -> Array:
         """Compute dexp_X⁻¹ V for ‖ξ‖ < 2π, or its matrix.
@@ -228,63 +228,59 @@ class Group:
         >>> lierb.lie.so3.dexpinv(X, lierb.lie.so3.dexp(X, V)).round(12).tolist()
         [1.0, -1.0, 0.5]
         """
-        return self._call("dexpinv", X, V) if V is not None else self._matrix("dexpinv", X, 1)
+        return self._linear("dexpinv", X, V)
 
     @property
     def identity(self) -> Array:
         return np.eye(self.size)
 
-    def _matrix(self, function: str, first: Any, item_axes: int) -> Array:
-        """Matrix of a linear function, column by column."""
-        element = self._operand(function, "g" if item_axes == 2 else "x", first)
-        columns = self._call(function, np.expand_dims(element, -1 - item_axes), np.eye(self.dim))
-        return np.ascontiguousarray(np.swapaxes(columns, -1, -2))
+    def _linear(self, function: str, first: Any, second: Any) -> Array:
+        """Apply a function that is linear in its second argument; without it, return the matrix."""
+        if second is not None:
+            return self._call(function, first, second)
+        kind = SIGNATURES[function][0][0]
+        element = self._operand(function, kind, first)
+        of_each = np.expand_dims(element, -1 - len(self._shape(kind)))  # column of the matrix
+        columns = self._call(function, of_each, np.eye(self.dim))
+        return np.ascontiguousarray(columns.swapaxes(-1, -2))
+
+    def _shape(self, kind: str) -> tuple[int, ...]:
+        """Return the shape of an element of the algebra, "x", or of the group, "g"."""
+        return (self.dim,) if kind == "x" else (self.size, self.size)
 
     def _call(self, function: str, *given: Any) -> Array:
         kinds, result_kind = SIGNATURES[function]
         operands = [self._operand(function, kind, x) for kind, x in zip(kinds, given, strict=True)]
-        axes = [2 if kind == "g" else 1 for kind in kinds]
+        items, result = [self._shape(kind) for kind in kinds], self._shape(result_kind)
+        pairs = [*zip(operands, items, strict=True)]
         try:
-            batch = np.broadcast_shapes(
-                *(x.shape[: x.ndim - n] for x, n in zip(operands, axes, strict=True))
-            )
+            batch = np.broadcast_shapes(*(x.shape[: x.ndim - len(item)] for x, item in pairs))
         except ValueError:
             shapes = " and ".join(str(x.shape) for x in operands)
             raise ArgumentError(
                 f"{self.name}.{function}: shapes {shapes} do not broadcast"
             ) from None
-        widths = [width(self.name, k) for k in (*kinds, result_kind)]
-        require_memory(
-            8 * math.prod(batch) * sum(widths), f"{self.name}.{function} of a batch {batch}", FEWER
-        )
-        rows = [
-            np.require(np.broadcast_to(x, batch + x.shape[x.ndim - n :]), None, ["C", "A"]).reshape(
-                -1, width(self.name, k)
-            )
-            for x, n, k in zip(operands, axes, kinds, strict=True)
-        ]
+        size = 8 * math.prod(batch) * sum(map(math.prod, (*items, result)))
+        require_memory(size, f"{self.name}.{function} of a batch {batch}", FEWER)
+        wide = [(np.broadcast_to(x, batch + item), math.prod(item)) for x, item in pairs]
+        rows = [np.require(x, None, ["C", "A"]).reshape(-1, width) for x, width in wide]
         for row in rows:
             row.flags.writeable = False  # one Numba type for all arguments, hence one compilation
-        out = np.empty((len(rows[0]), width(self.name, result_kind)))
+        out = np.empty((len(rows[0]), math.prod(result)))
         tag = LieFunction(self.name, function, DEFAULT_LANES)
         arguments = (rows[0], rows[-1], out, tag.lanes)
         check_compiler(is_needed=not is_ready(apply, tag, *arguments))
         run = compiled(apply, tag, *arguments)
         with np.errstate(all="ignore"):
             run(tag, *arguments)
-        shape = (self.dim,) if result_kind == "x" else (self.size, self.size)
-        return out.reshape(*batch, *shape)
+        return out.reshape(*batch, *result)
 
     def _operand(self, function: str, kind: str, given: Any) -> Array:
-        shape = (self.dim,) if kind == "x" else (self.size, self.size)
-        argument = f"{self.name}.{function}: an argument"
+        shape, argument = self._shape(kind), f"{self.name}.{function}: an argument"
         array = as_floats(argument, as_matrix(argument, given) if kind == "g" else given)
         if array.shape[-len(shape) :] != shape:
             expected = ", ".join(map(str, shape))
-            raise ArgumentError(
-                f"{self.name}.{function}: an argument has shape {array.shape}; "
-                f"expected (…, {expected})"
-            )
+            raise ArgumentError(f"{argument} has shape {array.shape}; expected (…, {expected})")
         return array
 
 
