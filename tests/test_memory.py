@@ -243,7 +243,7 @@ def test_sizes_are_told_in_units_that_are_read(size, told):
 def test_events_beyond_memory_are_told(monkeypatch):
     """Nobody knows before how many there will be: a run stops once they have no room."""
     room = np.zeros((101, 20))  # the number of events, then these
-    run = SimpleNamespace(_events=[], _workspaces=[{"events": room}])
+    run = SimpleNamespace(_events=[], memories=[{"events": room}])
     monkeypatch.setattr(memory, "ALWAYS", 100_000)
     monkeypatch.setattr(memory, "available", lambda: 100_000)
     room[0, 0] = 100

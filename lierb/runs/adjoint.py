@@ -105,14 +105,13 @@ class AdjointRun(Run[Any]):
         numbers = len(moving(held))
         return self.tag.inputs + marks(of_inputs) + numbers, numbers
 
-    @cached_property
-    def memories(self) -> list[dict[str, NDArray[Any]]]:
-        """Return the memory of each thread."""
+    def memory_of_thread(self) -> dict[str, NDArray[Any]]:
+        """Return a thread's memory for gains and states."""
         gains, state = self.rows
         rows = gains + state * (self.steps // self.every + 1 + self.every)
         size = 8 * rows * self.plan.lanes * self.threads
         require_memory(size, "the states of all steps", "lower threads= or take fewer steps")
-        return [{"memory": aligned(rows, self.plan.lanes)} for _ in range(self.threads)]
+        return {"memory": aligned(rows, self.plan.lanes)}
 
     @cached_property
     def arrays(self) -> dict[str, NDArray[Any]]:

@@ -76,6 +76,11 @@ class Run(Generic[Clocks]):
         inputs = np.zeros((self.threads, len(addresses), self.plan.lanes))
         return {"addresses": addresses, "varying": varying, "inputs": inputs, **self.output.arrays}
 
+    @cached_property
+    def memories(self) -> list[dict[str, NDArray[Any]]]:
+        """Memory of each thread."""
+        return [self.memory_of_thread() for _ in range(self.threads)]
+
     def memory_of_thread(self) -> dict[str, NDArray[Any]]:
         """Table of a looped plan and memory for one thread; nothing for another plan."""
         plan = self.plan

@@ -5,10 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lierb.kernels.loops.blocks import integrate_blocks
 from lierb.kernels.loops.job import RESUMED, UNSEEN, job_of, jobs_of
@@ -128,11 +126,6 @@ class BlockRun(Run[StepClock]):
         arrays = self.arrays | {"carried": chunk.carried}
         jobs = jobs_of(*(job_of(arrays | own, numbers) for own in self.memories))
         return self.run(integrate_blocks, np.zeros(2, dtype=np.int64), jobs)
-
-    @cached_property
-    def memories(self) -> list[dict[str, NDArray[Any]]]:
-        """Memory of each thread."""
-        return [self.memory_of_thread() for _ in range(self.threads)]
 
     def _run_chunk(self, chunk: Chunk, begin: int) -> Iterator[int]:
         """Run a chunk to the end; yield the number of steps after each call of the driver."""

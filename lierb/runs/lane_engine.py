@@ -166,19 +166,15 @@ class LaneRun(Run[LaneTime]):
     def _counter(self) -> NDArray[np.int64]:
         return np.zeros(2, dtype=np.int64)
 
-    @cached_property
-    def _workspaces(self) -> list[dict[str, NDArray[Any]]]:
-        """Arrays of each thread: results of the lanes at one time, and work arrays."""
-        return [self._workspace() for _ in range(self.threads)]
-
-    def _workspace(self) -> dict[str, NDArray[Any]]:
+    def memory_of_thread(self) -> dict[str, NDArray[Any]]:
+        """Workspace of a thread: results of its lanes at one time, and work arrays."""
         plan, lanes, width = self.plan, self.plan.lanes, self._event_width
         output = Output.empty(plan, lanes, ONE_TIME, with_state=False)
         watched = len(events_of(plan))
         room = max(EVENT_ROOM // width, 2 * ws.most_events(lanes, watched)) if watched else 0
         arrays = {
             "carried": np.zeros((carried_rows(plan), lanes)),
-            **self.memory_of_thread(),
+            **super().memory_of_thread(),
             "rows": np.zeros((ws.ROWS, lanes)),
             "request": np.zeros((1, ws.REQUEST)),
             "shown": np.zeros((width - ws.EVENT_COLUMNS - self._derivatives, lanes)),
@@ -204,7 +200,7 @@ class LaneRun(Run[LaneTime]):
             **times.span._asdict(), **times.tolerances._asdict(),
         }  # fmt: skip
         batch = job_of(self.arrays, numbers)
-        records = [batch + job_of(self.arrays | own, numbers) for own in self._workspaces]
+        records = [batch + job_of(self.arrays | own, numbers) for own in self.memories]
         jobs = jobs_of(*records, per_thread=2)
         arguments = (self.arrays["inputs"][0], self._counter, jobs[0])
         jobs["serve"] = entry_of(ws.serve, ws.SERVICE, *arguments)
@@ -217,7 +213,7 @@ class LaneRun(Run[LaneTime]):
 
         Raises MemoryLimitError if their table, whose size no one knows before, would not fit.
         """
-        for workspace in self._workspaces:
+        for workspace in self.memories:
             rows = workspace["events"]
             count = int(rows[0, 0])
             if count:
@@ -234,14 +230,14 @@ class LaneRun(Run[LaneTime]):
         flags[flags > calls.COLLECTED] = calls.COLLECTED
 
     def _any_active(self) -> bool:
-        return any((own["rows"][ws.ACTIVE] > 0.0).any() for own in self._workspaces)
+        return any((own["rows"][ws.ACTIVE] > 0.0).any() for own in self.memories)
 
     def _done(self) -> float:
         """Return the number of finished trajectories plus the fractions of the running ones."""
         waiting, running, share = 0.0, 0, 0.0
         time = carried_columns(self.plan.code)["clock"].start  # row of the clock's t
         span = self.times.span
-        for workspace in self._workspaces:
+        for workspace in self.memories:
             request = workspace["request"][0]
             waiting += max(request[ws.SHARE_END] - request[ws.SHARE], 0.0)
             active = workspace["rows"][ws.ACTIVE] > 0.0
