@@ -89,7 +89,7 @@ def test_error_figure_survives_a_run_that_broke_down():
 def test_error_figure_of_few_rows_is_drawn(rows, tmp_path):
     errors, summary = tables(lambda cspace, dt: np.full(T.size, np.nan))
     few = errors.filter(pa.array(np.tile(np.arange(T.size) < rows, 2 * len(DTS))))
-    figure = plots.error_figure(few, summary, quantity="position", title="A joint", size=0.0)
+    figure = plots.error_figure(few, summary, quantity="position", title="A joint")
     plots.save(figure, tmp_path / "few", "png")
 
 

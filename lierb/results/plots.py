@@ -13,7 +13,6 @@ from typing import IO, Any
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
-from numpy.typing import ArrayLike, NDArray
 
 from lierb.support.extras import require
 
@@ -28,8 +27,8 @@ MATH_NAMES = {"SO3xR3": r"$SO(3)\times\mathbb{R}^3$", "SE3": r"$SE(3)$"}
 UNITS = {"position": "m", "rotation": "1"}
 
 LEAST = 1e-18
-"""Least drawn error, relative to the size of the quantity. Smaller errors are drawn at this value,
-since zero errors are common and a logarithmic axis cannot show them."""
+"""Least drawn error. Smaller errors are drawn at this value, since zero errors are common and a
+logarithmic axis cannot show them."""
 MOST = 1e250
 """Largest drawn error. Larger errors are drawn at this value, since Matplotlib's ticks extend
 beyond the data and doubles end at 1e308."""
@@ -54,29 +53,24 @@ def error_figure(
     quantity: str,
     title: str,
     subtitle: str = "",
-    cspaces: Sequence[str] = ("SO3xR3", "SE3"),
-    size: float = 1.0,
 ) -> Figure:
     """Return a figure of an error over time: a panel for each c-space, a line for each step.
 
     errors : columns "cspace", "dt" (s), "t" (s) and "<quantity>_error", of one body.
     summary : columns "cspace", "dt" and "<quantity>_error_max", a row for each line.
     quantity : "position" or "rotation".
-    size : scale of the errors, m or 1, rounded to a power of ten: see LEAST.
     """
-    least = LEAST * 10.0 ** round(math.log10(size or 1.0))
     with matplotlib.rc_context(STYLE):
         figure = ShownFigure(figsize=(9.6, 4.6), layout="constrained")
         figure.suptitle(title, x=0.01, ha="left", fontsize=13, fontweight="bold")
-        panels = figure.subplots(1, len(cspaces), sharey=True, squeeze=False)[0]
+        panels = figure.subplots(1, len(MATH_NAMES), sharey=True)
         lowest, highest = math.inf, 0.0
-        for panel, cspace in zip(panels, cspaces):
-            runs = _of(errors, cspace), _of(summary, cspace)
-            low, high = _draw_panel(panel, *runs, quantity, least)
-            panel.set_title(MATH_NAMES.get(cspace, cspace), loc="left")
+        for panel, (cspace, name) in zip(panels, MATH_NAMES.items()):
+            low, high = _draw_panel(panel, _of(errors, cspace), _of(summary, cspace), quantity)
+            panel.set_title(name, loc="left")
             lowest, highest = min(lowest, low), max(highest, high)
         panels[0].set_ylabel(f"{quantity} error [{UNITS[quantity]}]")
-        _scale(panels, lowest, highest, least)
+        _scale(panels, lowest, highest)
         figure.supxlabel(subtitle, x=0.01, ha="left", fontsize=9, color="#555555")
     return figure
 
@@ -107,17 +101,12 @@ def picture(figure: Figure, kind: str) -> bytes:
     return content.getvalue()
 
 
-def drawable(errors: ArrayLike, least: float) -> NDArray[np.float64]:
-    """Clip values to the range of a logarithmic axis, `least` to MOST."""
-    return np.clip(errors, least, MOST)
-
-
 def _of(table: pa.Table, cspace: str) -> pa.Table:
     return table.filter(pc.equal(table["cspace"], cspace))
 
 
 def _draw_panel(
-    panel: Axes, errors: pa.Table, summary: pa.Table, quantity: str, least: float
+    panel: Axes, errors: pa.Table, summary: pa.Table, quantity: str
 ) -> tuple[float, float]:
     """Draw the lines of one c-space; return the smallest and the largest value drawn."""
     lowest, highest = math.inf, 0.0
@@ -126,7 +115,7 @@ def _draw_panel(
         run = errors.filter(pc.equal(errors["dt"], dt))
         # The start is left out: the joint is closed there, and its error is zero.
         t, error = (run[name].to_numpy()[1:] for name in ("t", f"{quantity}_error"))
-        drawn = drawable(error, least)
+        drawn = np.clip(error, LEAST, MOST)
         label = f"Δt = {_power_of_ten(dt)} s:  max {_number(largest)}"
         panel.plot(t, drawn, color=colour, linewidth=1.1, label=label)
         finite = drawn[np.isfinite(drawn)]
@@ -138,19 +127,19 @@ def _draw_panel(
     return lowest, highest
 
 
-def _scale(panels: Sequence[Axes], lowest: float, highest: float, least: float) -> None:
+def _scale(panels: Sequence[Axes], lowest: float, highest: float) -> None:
     """Set the axis to whole decades around the values; mark the smallest ones."""
-    bottom = 10.0 ** math.floor(math.log10(min(lowest, 100 * least)))
-    top = 10.0 ** math.ceil(math.log10(max(1.5 * highest, 1000 * least)))
+    bottom = 10.0 ** math.floor(math.log10(min(lowest, 100 * LEAST)))
+    top = 10.0 ** math.ceil(math.log10(max(1.5 * highest, 1000 * LEAST)))
     panels[0].set_yscale("log")
     panels[0].set_ylim(bottom / 3, top)
-    if lowest > least:
+    if lowest > LEAST:
         return
     for panel in panels:
-        panel.axhline(least, color="#888888", linewidth=0.8, linestyle=(0, (4, 3)), zorder=0)
+        panel.axhline(LEAST, color="#888888", linewidth=0.8, linestyle=(0, (4, 3)), zorder=0)
         panel.annotate(
-            rf"$10^{{{round(math.log10(least))}}}$ or less",
-            (1.0, least),
+            rf"$10^{{{round(math.log10(LEAST))}}}$ or less",
+            (1.0, LEAST),
             xycoords=panel.get_yaxis_transform(),
             xytext=(-2, 3),
             textcoords="offset points",
