@@ -42,7 +42,8 @@ def add_loops(model: MjModel, placed: list[Placed], parts: Parts) -> None:
             continue
         is_by_sites = int(model.eq_objtype[k]) == int(mujoco.mjtObj.mjOBJ_SITE)
         ends = [
-            _end(model, int(i[k]), placed, is_by_sites) for i in (model.eq_obj1id, model.eq_obj2id)
+            placed_site(model, i, placed) if is_by_sites else placed[i]
+            for i in (model.eq_obj1id[k], model.eq_obj2id[k])
         ]
         name, frames = maker(model.eq_data[k], is_by_sites)
         frames = [end.pose @ frame for end, frame in zip(ends, frames, strict=True)]
@@ -56,12 +57,8 @@ def add_loops(model: MjModel, placed: list[Placed], parts: Parts) -> None:
         parts.loops.append((title, joint, ends[0].link, ends[1].link))
 
 
-def _end(model: MjModel, i: int, placed: list[Placed], is_by_sites: bool) -> Placed:
-    """Return the link of body or site i, and the frame in the link."""
-    return placed_site(model, i, placed) if is_by_sites else placed[i]
-
-
 def placed_site(model: MjModel, i: int, placed: list[Placed]) -> Placed:
+    """Return the link of site i, and its frame in the link."""
     on = placed[model.site_bodyid[i]]
     return Placed(on.link, on.pose @ pose_of(model.site_pos[i], model.site_quat[i]))
 

@@ -30,7 +30,6 @@ from lierb.model.files.welded_bodies import (
     pose_of,
     rigid_groups,
 )
-from lierb.model.joints.joint import Joint
 from lierb.support.arrays import as_positive
 from lierb.support.representations import counted
 
@@ -149,26 +148,17 @@ def _add_chain(
             link, own = parts.free_name("", f"{name}_{k}"), light_body(model, i)
             parts.light.append(link)
         parts.links.append((link, own, joint, parent))
-        within = sequence if len(chain) == 1 else sequence[k - 1 : k]
-        _add_forces(model, parts, within, label, link, joint, limit_stiffness)
         parent = link
-
-
-def _add_forces(
-    model: MjModel, parts: Parts, numbers: list[int], label: str, link: str, joint: Joint,
-    limit_stiffness: float | None,
-) -> None:  # fmt: skip
-    """Add the forces of a link's joint.   numbers : MuJoCo's indices of what it is composed of."""
-    for j in numbers:
-        parts.link_of_joint[j] = link
-        acting = JointForces(model, j, label, joint, limit_stiffness)
-        try:
-            forces, states = acting.on(link)
-        except LierbError as error:
-            raise ArgumentError(f"{acting.label}: {error}") from error
-        parts.forces += forces
-        parts.states += states
-        parts.left_out += acting.left_out()
+        for j in sequence if len(chain) == 1 else sequence[k - 1 : k]:
+            parts.link_of_joint[j] = link
+            of_joint = JointForces(model, j, label, joint, limit_stiffness)
+            try:
+                forces, states = of_joint.on(link)
+            except LierbError as error:
+                raise ArgumentError(f"{of_joint.label}: {error}") from error
+            parts.forces += forces
+            parts.states += states
+            parts.left_out += of_joint.left_out()
 
 
 def _lacking(model: MjModel) -> Iterator[str]:
