@@ -170,33 +170,25 @@ def warmup(
     cspaces, updates = _several("cspaces", cspaces), _several("updates", updates)
     for cspace, update in product(cspaces, updates):
         check_names(cspace=cspace, update=update, solver=solver)
+    of_one = [j if isinstance(j, Joint) else _named(j) for j in joints if not _is_tree(j)]
+    schemes = [method_named(method) for method in methods]
     wanted: list[tuple[Joint | None, Method, str, str]] = [
         (joint, method, cspace, update)
-        for joint, method, cspace, update in product(
-            [j if isinstance(j, Joint) else _named(j) for j in joints if not _is_tree(j)],
-            [method_named(method) for method in methods],
-            cspaces,
-            updates,
-        )
+        for joint, method, cspace, update in product(of_one, schemes, cspaces, updates)
         if cspace != "reduced" or (joint.subgroup and joint.rows)
     ]
     if any(map(_is_tree, joints)):
-        wanted += [(None, method_named(method), "reduced", "local") for method in methods]
+        wanted += [(None, method, "reduced", "local") for method in schemes]
     ready: list[Kernel] = []
     for joint, method, cspace, update in wanted:
         name = TREE if joint is None else joint.name
         report(len(ready), len(wanted), f"{name}, {method.name}, {cspace}, {update}")
         began = time.perf_counter()
-        if joint is None:
-            chosen: dict[str, Any] = {"solver": "looped", "twist0": ANY_TREE.twist()}
-        else:
-            chosen = {
-                "solver": "auto" if cspace == "reduced" else solver, "twist0": (0.0,) * 6,
-                "check": "raise" if joint.subgroup else "off",
-            }  # fmt: skip
         integrate(
-            ANY_TREE if joint is None else Problem(ANY_BODY, joint), **chosen, dt=1.0, t_end=1.0,
+            ANY_TREE if joint is None else Problem(ANY_BODY, joint), dt=1.0, t_end=1.0,
             method=method, cspace=cspace, update=update, progress=False,
+            solver="looped" if joint is None else "auto" if cspace == "reduced" else solver,
+            check="raise" if joint is None or joint.subgroup else "off",
             save_every=1 if multipliers else None, record=("multipliers",) if multipliers else (),
         )  # fmt: skip
         seconds = time.perf_counter() - began
