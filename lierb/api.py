@@ -27,20 +27,10 @@ from lierb.results.failures import (
 )
 from lierb.results.result import Result
 from lierb.results.sensitivities import Untabled, sensitivities
-from lierb.results.tables import (
-    events_table,
-    history_table,
-    no_room,
-    require_memory,
-    summary_table,
-)
+from lierb.results.tables import events_table, history_table, no_room, require_memory, summary_table
 from lierb.runs import engine
 from lierb.runs.continuation import End
-from lierb.runs.derivatives import (
-    Derivatives,
-    integrate_with_derivatives,
-    require_differentiable,
-)
+from lierb.runs.derivatives import Derivatives, integrate_with_derivatives, require_differentiable
 from lierb.runs.options import Options
 from lierb.runs.output import Output
 from lierb.runs.parameters import Parameter, chosen_parameters

@@ -14,13 +14,7 @@ from lierb.errors import ArgumentError
 from lierb.kernels.systems.plan import UPDATES
 from lierb.kernels.systems.scheme import Embedded, Extension, Scheme, Stages
 from lierb.methods.calibration import calibration_of
-from lierb.methods.checks import (
-    MOST_ERROR_ROWS,
-    explicit,
-    require_both,
-    require_order,
-    rows_of,
-)
+from lierb.methods.checks import MOST_ERROR_ROWS, explicit, require_both, require_order, rows_of
 
 Rows = Sequence[Sequence[float]]
 LARGEST = 200.0  # most decimal digits of |hλ|^stages, so that R does not overflow

@@ -7,12 +7,7 @@ from collections.abc import Iterable
 from dataclasses import replace
 from typing import Any
 
-from lierb.errors import (
-    ArgumentError,
-    ForceError,
-    brief,
-    items_of,
-)
+from lierb.errors import ArgumentError, ForceError, brief, items_of
 from lierb.kernels.functions.function import size_of
 from lierb.kernels.mechanics.passive_elements import TurnCounter
 from lierb.kernels.mechanics.rows import keeps_axis, slides, turns

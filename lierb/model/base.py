@@ -39,13 +39,7 @@ from lierb.model.numbers import (
     joint_with,
     qualified,
 )
-from lierb.support.arrays import (
-    Array,
-    Which,
-    batch_size,
-    items_at,
-    member_of,
-)
+from lierb.support.arrays import Array, Which, batch_size, items_at, member_of
 from lierb.support.representations import Represented
 
 OfBody = Callable[[Body, str, str], Body]
