@@ -20,7 +20,7 @@ from lierb.methods.checks import (
     row_of,
     rows_of,
 )
-from lierb.methods.method import StagedMethod, floats
+from lierb.methods.method import StagedMethod, floats, lower_triangle
 
 __all__ = ["MOST_STAGES", "ButcherTableau"]
 
@@ -102,10 +102,9 @@ class ButcherTableau(StagedMethod):
         b = row_of("b", self.b)
         if not isinstance(self.name, str):
             raise ArgumentError(f"name={brief(self.name)}; expected a text")
-        rows = rows_of("A", self.A)
-        if len(rows) != len(b):
-            raise ArgumentError(f"the tableau has {len(rows)} rows of A for {len(b)} weights b")
-        lower = tuple(explicit(row, i, f"row {i} of A") for i, row in enumerate(rows))
+        lower = lower_triangle("A", self.A)
+        if len(lower) != len(b):
+            raise ArgumentError(f"the tableau has {len(lower)} rows of A for {len(b)} weights b")
         sums = tuple(float(sum(row)) for row in lower)
         c = sums if self.c is None else row_of("c", self.c)
         if len(c) != len(b):

@@ -126,14 +126,12 @@ class Output:
     @property
     def turns(self) -> Array:
         """Turns of all iterations of a method that iterates, [trajectory]."""
-        turns: Array = self.summary[lane_column(self.plan) - 1]
-        return turns
+        return np.asarray(self.summary[lane_column(self.plan) - 1])
 
     @cached_property
     def status(self) -> NDArray[np.int8]:
         """Status codes, [trajectory]."""
-        codes: NDArray[np.int8] = self.summary[SUMMARY.index("status")].astype(np.int8)
-        return codes
+        return np.asarray(self.summary[SUMMARY.index("status")], np.int8)
 
     @cached_property
     def t(self) -> Array:
@@ -147,8 +145,7 @@ class Output:
 
     def of_lanes(self, name: str) -> Array:
         """Return a column of LANE_SUMMARY."""
-        column: Array = self.summary[lane_column(self.plan) + LANE_SUMMARY.index(name)]
-        return column
+        return np.asarray(self.summary[lane_column(self.plan) + LANE_SUMMARY.index(name)])
 
     @property
     def signals(self) -> Array:

@@ -57,6 +57,7 @@ class Start:
         self.model, self.poses, self.twists = model, [*poses.values()], [*twists.values()]
         self.t0 = np.float64(t0)
         self.with_rows = [i for i, e in enumerate(model.elements) if e.kind.rows]
+        self._known: dict[bool, DecomposedRows] = {}
 
     @cached_property
     def at_rest(self) -> Start:
@@ -146,10 +147,6 @@ class Start:
         """Return True for the meshes of teeth among the rows of poses, [row]."""
         rows = (r for at in self.mechanism.connections for r in _rows(at, is_rate=False))
         return np.array([r.second is not None for r in rows])
-
-    @cached_property
-    def _known(self) -> dict[bool, DecomposedRows]:
-        return {}
 
     def _lightest(self, wanted: Array, is_rate: bool) -> list[Array]:
         """Return the changes of all links, (directions, n, 6), by which rows change as wanted.

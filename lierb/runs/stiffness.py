@@ -108,8 +108,7 @@ class _Modes(NamedTuple):
     def growth(self, method: Method, steps: float, share: float = 1.0) -> Array:
         """Log growth of each mode in `steps` steps of `share` times the step length."""
         factors = np.abs(method.amplification(share * self.exponents))
-        logarithms: Array = steps * (np.log(factors) - ROUNDING)
-        return logarithms
+        return np.asarray(steps * (np.log(factors) - ROUNDING))
 
 
 class _OwnForces:

@@ -108,8 +108,7 @@ def _random_turns(random: np.random.Generator, count: int) -> Array:
     """Return rotation vectors of any direction, up to half a turn."""
     axes = random.standard_normal((count, 3))
     sizes = np.linalg.norm(axes, axis=1, keepdims=True)
-    turns: Array = axes / sizes * random.uniform(0.0, np.pi, (count, 1))
-    return turns
+    return np.asarray(axes / sizes * random.uniform(0.0, np.pi, (count, 1)))
 
 
 def _random_poses(random: np.random.Generator, about: Array, length: float, count: int) -> Array:

@@ -77,8 +77,7 @@ class Decomposed:
         tolerance : the fraction, (count,) or for all.
         """
         kept = self.values > np.reshape(tolerance, (-1, 1)) * self.values[:, :1]
-        ranks: Array = np.count_nonzero(kept, axis=1)
-        return ranks
+        return np.asarray(np.count_nonzero(kept, axis=1))
 
     def least(self, wanted: Array, damping: Array | float = 0.0) -> Array:
         """Return the least x with A x = wanted, or the minimum of ‖A x − wanted‖² + damping ‖x‖².
@@ -117,8 +116,7 @@ class DecomposedRows(Decomposed):
     @property
     def freedoms(self) -> Array:
         """Dimension of the space of motions that all rows allow, (count,)."""
-        freedoms: Array = self.vt.shape[1] - self.ranks
-        return freedoms
+        return np.asarray(self.vt.shape[1] - self.ranks)
 
     @cached_property
     def moving(self) -> Array:
@@ -131,8 +129,7 @@ class DecomposedRows(Decomposed):
         for twist, metric in zip(twists, self.metrics, strict=True):
             moving = scale(1.0 / self.lever, cross_add(twist[:3], metric.com, twist[3:]))
             total = total + dot(twist[:3], twist[:3]) + dot(moving, moving)
-        size: Array = np.sqrt(total)
-        return size
+        return np.asarray(np.sqrt(total))
 
     def lightest(self, wanted: Array, damping: Array | float = 0.0) -> list[Vec]:
         """Return the twists of least kinetic energy with J V = wanted, for rows of length 1.
