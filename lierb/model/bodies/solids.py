@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lierb.errors import ArgumentError, brief
-from lierb.kernels.mechanics.newton_euler import unit_inertia
 from lierb.model.bodies.body import Body
 from lierb.support.arrays import Array, as_floats, as_positive, assembled, batch_size
 from lierb.support.extras import require
@@ -221,8 +220,7 @@ def from_mesh(mesh: Any, *, mass: float | None = None, density: float | None = N
         raise ArgumentError(f"a mesh is one body; got masses of shape {total.shape}")
     centre = as_floats("center_mass", solid.center_mass)
     about_com = as_floats("inertia", solid.inertia) * (total / float(solid.mass))
-    shift = assembled(unit_inertia(tuple(centre)), 3, 3)
-    return Body(total, about_com + total * shift, centre)
+    return Body(total, about_com, centre, about="com")
 
 
 def _loaded(path: Any, load: Callable[[Any], Any]) -> Any:
