@@ -62,6 +62,11 @@ def counted(count: int, what: str, several: str = "") -> str:
     return f"{count} {what if count == 1 else several or f'{what}s'}"
 
 
+def counted_links(links: int, loops: int) -> str:
+    """Format the size of a mechanism: `2 links`, `3 links and 1 loop`."""
+    return counted(links, "link") + (f" and {counted(loops, 'loop')}" if loops else "")
+
+
 def with_unit(name: str, unit: str) -> str:
     """Format the label of an axis: `position [m]`, without a unit of 1."""
     return name if unit in ("", "1") else f"{name} [{unit}]"

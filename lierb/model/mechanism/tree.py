@@ -28,7 +28,7 @@ from lierb.model.joints.joint import JOINT
 from lierb.model.mechanism.links import GROUND, Link, Loop, Site
 from lierb.model.numbers import BODY, labelled
 from lierb.support.arrays import GRAVITY, as_numbers
-from lierb.support.representations import Lines, counted, quantity
+from lierb.support.representations import Lines, counted_links, quantity
 
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
@@ -331,12 +331,9 @@ class Tree(Model):
             rows.append(("loops", "\n".join(_joint_text(x, ()) for x in self.loops)))
         rows.append(("gravity", quantity(self.gravity, "m/s²", 1)))
         rows += self._shown_elements()
-        parts = [counted(len(self.links), "link")]
-        if self.loops:
-            parts.append(counted(len(self.loops), "loop"))
         size = self.batch_size() or 1
         tail = f", {size} of it" if size > 1 else ""
-        return f"lierb.Mechanism: {' and '.join(parts)}{tail}", rows
+        return f"lierb.Mechanism: {counted_links(len(self.links), len(self.loops))}{tail}", rows
 
 
 def _sites_of(sites: Mapping[str, Any]) -> dict[str, Site]:

@@ -32,7 +32,7 @@ from lierb.results.colours import CSPACE_NAMES
 from lierb.results.states import RunStates, chosen_trajectories, metadata_of
 from lierb.support.arrays import Array, as_floats, as_matrix, as_numbers, as_poses, is_whole
 from lierb.support.files import require_page, write_whole
-from lierb.support.representations import counted, steps_text
+from lierb.support.representations import counted, counted_links, steps_text
 
 MOST_VIEWS = 8  # most views by default
 FRAMES = 2000  # most frames of a trajectory; longer histories are thinned
@@ -285,8 +285,7 @@ def _title(result: RunStates) -> str:
 def described_links(known: dict[str, Any]) -> str:
     """Return "2 links and 1 loop" or the like, from the metadata of a mechanism."""
     kinds = [each["kind"] for each in known.get("problem", {}).get("mechanism", {}).values()]
-    parts = [counted(kinds.count(kind), kind) for kind in ("link", "loop") if kind in kinds]
-    return " and ".join(parts)
+    return counted_links(kinds.count("link"), kinds.count("loop")) if kinds else ""
 
 
 def _shapes(given: Any, model: Model) -> Shapes:

@@ -20,7 +20,7 @@ from lierb.studies.description.sections.sampling import SampleSection
 from lierb.studies.description.settings import Setting
 from lierb.studies.description.study_file import ELEMENTS, plain
 from lierb.studies.description.toml import toml_of
-from lierb.support.representations import counted
+from lierb.support.representations import counted_links
 
 TABLES = ("summary", "history", "events")
 NEW_KEYS = ("rtol", "atol", "dt_min", "dt_max", "max_steps", "save_at", "discontinuities")
@@ -62,10 +62,8 @@ class StudyTables(Section):
         """Return the kind of problem: `spherical joint`, or `mechanism of 3 links and 1 loop`."""
         if self.joint is not None:
             return f"{self.joint.type} joint"
-        parts = [counted(len(self.problem.links), "link")]
-        if self.problem.loops:
-            parts.append(counted(len(self.problem.loops), "loop"))
-        return f"mechanism of {' and '.join(parts)}"
+        links, loops = self.problem.links, self.problem.loops
+        return f"mechanism of {counted_links(len(links), len(loops))}"
 
     @property
     def design(self) -> Design:
