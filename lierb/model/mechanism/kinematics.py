@@ -268,7 +268,6 @@ class TreeKinematics(Tree):
             if at.parent != NOWHERE:
                 relative = add(relative, self.carried(at, self.relative(at, poses), twists))
             twists[i] = se3.Ad(frame, relative)
-        self.batch_size(**sizes)
         return _alike({n: assembled(twists[i]) for i, n in enumerate(self.names)}, "twist", 1)
 
     @_quiet

@@ -80,17 +80,16 @@ def mechanism_plan_of(
     doubled = set()  # links that two nodes connect with their parents
     for i in mechanism.order:
         joint, parent = mechanism.links[i].joint, nodes[mechanism.parents[i]]
-        if cspaces[i] != "reduced":
-            tree.append(Node(parent, i, cspaces[i], FREE, joint.rows))
-        elif joint.factors:
+        is_reduced = cspaces[i] == "reduced"
+        if is_reduced and joint.factors:
             first, last = (_only(factor.slot) for factor in joint.factors)
             tree.append(Node(parent, MASSLESS, "reduced", first, ()))
             tree.append(Node(len(tree) - 1, i, "reduced", last, ()))
             doubled.add(i)
-        elif joint.subgroup is not None or slots_of(joint.rows) == (FIXED,) * 6:
+        elif is_reduced and (joint.subgroup or slots_of(joint.rows) == (FIXED,) * 6):
             tree.append(Node(parent, i, "reduced", slots_of(joint.rows), ()))
         else:
-            tree.append(Node(parent, i, "reduced", FREE, joint.rows))
+            tree.append(Node(parent, i, cspaces[i], FREE, joint.rows))
         nodes[i] = len(tree) - 1
     hanging = {*range(len(mechanism.links))} - doubled
     joints = [
