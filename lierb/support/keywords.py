@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from difflib import get_close_matches
 from functools import wraps
-from typing import ParamSpec, TypeVar
+from typing import NoReturn, ParamSpec, TypeVar
 
 from lierb.errors import NEAR
 
@@ -49,6 +49,17 @@ def no_attribute(
     synonyms : what to take instead, by names in other tools.
     """
     return AttributeError(f"{owner} has no {name!r}{_remedy(name, synonyms, known, 'take')}")
+
+
+def names_of_module(
+    owner: str, known: Sequence[str], synonyms: Mapping[str, str]
+) -> tuple[Callable[[str], NoReturn], Callable[[], list[str]]]:
+    """Return a module's `__getattr__` and `__dir__`; see `no_attribute`.   known : public names."""
+
+    def missing(name: str) -> NoReturn:
+        raise no_attribute(owner, name, known, synonyms)
+
+    return missing, lambda: list(known)
 
 
 def _remedy(name: str, synonyms: Mapping[str, str], known: Iterable[str], verb: str) -> str:

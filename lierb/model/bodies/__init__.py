@@ -4,21 +4,13 @@ The body frame is at the centre of mass, with axes along those of the solid; for
 frame of the mesh. Each function takes either `mass` or `density`. Arguments may be batched.
 """
 
-from typing import TYPE_CHECKING, NoReturn
+from typing import TYPE_CHECKING
 
 from lierb.errors.synonyms import BODIES
 from lierb.model.bodies.solids import box, cylinder, from_mesh, rod, sphere
-from lierb.support.keywords import no_attribute
+from lierb.support.keywords import names_of_module
 
 __all__ = ["box", "cylinder", "rod", "sphere", "from_mesh"]
 
-
 if not TYPE_CHECKING:
-
-    def __getattr__(name: str) -> NoReturn:
-        """Raise AttributeError for a name that does not exist, with the one that it has here."""
-        raise no_attribute("lierb.bodies", name, __all__, BODIES)
-
-
-def __dir__() -> list[str]:
-    return list(__all__)
+    __getattr__, __dir__ = names_of_module("lierb.bodies", __all__, BODIES)

@@ -12,7 +12,7 @@ Each force is a class with name, parameters and formulas, and a function of that
 Studies use the same names.
 """
 
-from typing import TYPE_CHECKING, NoReturn
+from typing import TYPE_CHECKING
 
 from lierb.errors.synonyms import FORCES
 from lierb.model.forces import (
@@ -39,7 +39,7 @@ from lierb.model.forces.stiction import *  # noqa: F403
 from lierb.model.forces.wrenches import *  # noqa: F403
 from lierb.model.forces.wrenches import BodyWrench as BodyWrench
 from lierb.model.functions.wrenches import Force as Force
-from lierb.support.keywords import no_attribute
+from lierb.support.keywords import names_of_module
 
 __all__ = [
     *wrenches.__all__, *added_masses.__all__, *springs.__all__, *bushings.__all__,
@@ -47,13 +47,5 @@ __all__ = [
 ]  # fmt: skip
 FORCE_UNITS = {name: UNITS[name] for name in __all__}  # units of parameters, by force
 
-
 if not TYPE_CHECKING:
-
-    def __getattr__(name: str) -> NoReturn:
-        """Raise AttributeError for a name that does not exist, with the one that it has here."""
-        raise no_attribute("lierb.forces", name, __all__, FORCES)
-
-
-def __dir__() -> list[str]:
-    return list(__all__)
+    __getattr__, __dir__ = names_of_module("lierb.forces", __all__, FORCES)

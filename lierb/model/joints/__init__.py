@@ -6,24 +6,16 @@ The rows are those of `lierb.kernels.mechanics.rows`, in the order of λ. They a
 rotation axis of Q ⊥ e₃.
 """
 
-from typing import TYPE_CHECKING, NoReturn
+from typing import TYPE_CHECKING
 
 from lierb.errors import synonyms
 from lierb.model.joints.catalogue import *  # noqa: F403
 from lierb.model.joints.catalogue import from_rows
 from lierb.model.joints.joint import Joint
 from lierb.model.joints.joint_type import JOINTS, JointType
-from lierb.support.keywords import no_attribute
+from lierb.support.keywords import names_of_module
 
 __all__ = ["JOINTS", "Joint", "JointType", "from_rows", *JOINTS]
 
-
 if not TYPE_CHECKING:
-
-    def __getattr__(name: str) -> NoReturn:
-        """Raise AttributeError for a name that does not exist, with the one that it has here."""
-        raise no_attribute("lierb.joints", name, __all__, synonyms.JOINTS)
-
-
-def __dir__() -> list[str]:
-    return list(__all__)
+    __getattr__, __dir__ = names_of_module("lierb.joints", __all__, synonyms.JOINTS)
