@@ -43,7 +43,7 @@ from lierb.model.joints.joint import MOST_ROWS, Joint
 from lierb.model.mechanism.links import Link
 from lierb.model.mechanism.mechanism import Mechanism
 from lierb.model.mechanism.row_system import CLOSED, LEAST_GYRATION, NEWTON_STEPS
-from lierb.model.mechanism.start_checks import violation_of_body
+from lierb.model.mechanism.start_checks import start_of_body, violation_of
 from lierb.model.numbers import numbers_of, parameters_of
 from lierb.model.unfit import unfit_constraint, unfit_place, unfit_rate
 from lierb.support.arrays import (
@@ -229,7 +229,8 @@ class Problem(Model):
     ) -> LierbError | None:
         poses = self.joint.closed_pose if pose0 is None else as_poses("pose0", pose0)
         twists = None if twist0 is None else as_twists("twist0", twist0)
-        return violation_of_body(self, poses, twists, t0, number)
+        with np.errstate(all="ignore"):
+            return violation_of(start_of_body(self, poses, twists, t0, number))
 
     def parameters(self, at: Connection | None = None) -> Parameters:
         """Return the problem's parameters for formulas, one array per component."""

@@ -42,21 +42,11 @@ from lierb.support.arrays import Array, as_poses, components, first_bad, items_a
 EVEN_SO = '(check="warn" integrates it all the same, but not on "reduced")'
 
 
-class Members(NamedTuple):
-    """Members of a batch: index of the first, their number, and size of the batch."""
-
-    first: int
-    size: int
-    total: int
-
-    def label(self, argument: str, member: int) -> str:
-        return body_label(argument, self.first + member, self.total)
-
-
 class Start(NamedTuple):
     """Joints of a model at the start, with their names in messages.
 
-    speed : m/s, scale of the tolerances of velocities.   time : s.
+    speed : m/s, scale of the tolerances of velocities.   time : s.   total : size of the batch.
+    only : index of the only member that is checked; None for all.
     turned : text on what to turn if a joint is half a turn off.   closing : text on the effect of
     `close` on a member.   is_default : True if the twist is rest, by default.
     projecting : text on the effect of `project`.
@@ -66,36 +56,36 @@ class Start(NamedTuple):
     joints: list[tuple[str, ConnectionState]]
     speed: Any
     time: float
-    members: Members
+    total: int
+    only: int | None
     turned: str
     closing: Callable[[int], str]
     is_default: bool
     projecting: str
     misfit: Any = 0.0
 
+    @property
+    def size(self) -> int:
+        """Number of members that are checked."""
+        return self.total if self.only is None else 1
 
-def violation_of_body(
+    def label(self, argument: str, member: int) -> str:
+        return body_label(argument, member if self.only is None else self.only, self.total)
+
+
+def start_of_body(
     model: Model, poses: Array, twists: Array | None, t0: float, number: int | None
-) -> LierbError | None:
-    """Return the error of the first body whose start violates its joint, or None.
+) -> Start:
+    """Return the joint of bodies at valid poses and twists.
 
     twists : None for rest, the default.   number : index of the only body to check, or None.
     """
     is_default = twists is None
     twists = np.zeros(6) if twists is None else twists
     count = model.batch_size(pose0=(poses, 2), twist0=(twists, 1)) or 1
-    with np.errstate(all="ignore"):
-        if number is None:
-            whole = Members(0, count, count)
-            return violation_of(_start_of_body(model, poses, twists, t0, whole, is_default))
-        alone = model.of_body(number) if model.batch_size() else model
-        own = items_at(poses, number, 2), items_at(twists, number, 1)
-        return violation_of(_start_of_body(alone, *own, t0, Members(number, 1, count), is_default))
-
-
-def _start_of_body(
-    model: Model, poses: Array, twists: Array, t0: float, members: Members, is_default: bool
-) -> Start:
+    if number is not None:
+        model = model.of_body(number) if model.batch_size() else model
+        poses, twists = items_at(poses, number, 2), items_at(twists, number, 1)
     (at,), ((_, rows),) = model.joints, model.rows_by_name
     assert at.joint is not None
     p, body, pose, twist = (
@@ -113,7 +103,8 @@ def _start_of_body(
         joints=[(" with ".join((f"the {at.joint.name} joint", *added)), state)],
         speed=speed_of(twist, p.com, state.length),
         time=t0,
-        members=members,
+        total=count,
+        only=number,
         turned="pose0",
         closing=lambda member: closing,
         is_default=is_default,
@@ -147,9 +138,8 @@ def start_of_mechanism(mechanism: TreeKinematics, pose: Any, twist: Any, t0: flo
 
     rest = "mechanism.twist({})"
     projecting = _projecting("mechanism", rest, "all joints allow", rows, t0, is_default)
-    members = Members(0, count, count)
     misfit = misfit_of(count, [h for _, h in joints])
-    return Start(joints, speed, t0, members, "a link", closing, is_default, projecting, misfit)
+    return Start(joints, speed, t0, count, None, "a link", closing, is_default, projecting, misfit)
 
 
 def _projecting(
@@ -190,16 +180,16 @@ def violation_of(start: Start) -> LierbError | None:
 def _pose_violation(start: Start, name: str, h: ConnectionState) -> PoseError | None:
     if unfit := unfit_positions([h], start.time):
         return unfit
-    pose = partial(start.members.label, "pose0")
+    pose = partial(start.label, "pose0")
     where = name[name.find(" (") :] if h.at.name else ""  # " (rod to ground)"
     if unfit := unfit_constraint(h.at.rows, h.x, h.body, pose, where=where):
         return unfit
-    for member in wrong_way(h, start.members.size)[:1].tolist():
-        return PoseError(reversed_joint(start.members.label("pose0", member), name, start.turned))
+    for member in wrong_way(h, start.size)[:1].tolist():
+        return PoseError(reversed_joint(pose(member), name, start.turned))
     tolerances = START_TOLERANCE * h.length + h.rounding, START_TOLERANCE
     for (what, unit, size), allowed in zip(errors_of(h), tolerances, strict=True):
-        for member in _beyond(size, allowed, start.members.size):
-            label = start.members.label("pose0", member)
+        for member in _beyond(size, allowed, start.size):
+            label = pose(member)
             error, most = one_of(size, member), one_of(allowed, member)
             if not max(error, most) < np.inf:
                 return PoseError(beyond_numbers(label, f"{what} error"))
@@ -226,8 +216,8 @@ def _twist_violation(start: Start, name: str, h: ConnectionState) -> TwistError 
         ("velocity", "rotation rate"), ("m/s", "rad/s"), sizes, _rate_tolerances(h, start),
         strict=True,
     ):  # fmt: skip
-        for member in _beyond(size, allowed, start.members.size):
-            label = start.members.label("twist0", member) + " (rest, by default)" * start.is_default
+        for member in _beyond(size, allowed, start.size):
+            label = start.label("twist0", member) + " (rest, by default)" * start.is_default
             error, most = one_of(size, member), one_of(allowed, member)
             if not max(error, most) < np.inf:
                 return TwistError(beyond_numbers(label, what))
