@@ -20,8 +20,7 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 def shared(function: F) -> F:
     """Decorate a function of numbers that both Python and @njit code can call."""
-    registered: F = register_jitable(**OPTIONS)(function)
-    return registered
+    return register_jitable(**OPTIONS)(function)
 
 
 def _number_at(address: int) -> float:

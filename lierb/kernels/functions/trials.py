@@ -45,8 +45,7 @@ def outputs_of(function: Function) -> Shapes:
         first = function.dictionaries(function.returned(*inputs))[0]
         return (), tuple((name, np.shape(as_array(x))) for name, x in first.items())
 
-    outputs: Shapes = _traced_twice(function, call)
-    return outputs
+    return _traced_twice(function, call)
 
 
 @lru_cache(256)

@@ -145,8 +145,7 @@ def _anywhere(z: Number, share: float, taylor: Taylor, beyond: Beyond, cuts: Cut
         series = taylor(z, MEDIUM_TERMS, (*cuts, (small, 5)))
         return branch(all_lanes(medium), lambda: series, lambda: where(medium, series, beyond(z)))
 
-    values: Vec = branch(all_lanes(small), lambda: taylor(z, 5, cuts), beyond_small)
-    return values
+    return branch(all_lanes(small), lambda: taylor(z, 5, cuts), beyond_small)
 
 
 def _taylor(z: Number, terms: int, cuts: Cuts) -> Vec:
@@ -191,8 +190,7 @@ def _long(z: Number) -> Vec:
 
 def _half_long(z: Number) -> Vec:
     below = z < 0.25 * SERIES
-    values: Vec = branch(all_lanes(below), lambda: _half_entire(z), lambda: _half_anywhere(z))
-    return values
+    return branch(all_lanes(below), lambda: _half_entire(z), lambda: _half_anywhere(z))
 
 
 @apart(len(HalfAngleCoefficients._fields))

@@ -63,16 +63,13 @@ class Exponential(NamedTuple):
         return self.moved(c)[1]
 
     def pose(self, c: Chart) -> Pose:
-        found: Pose = self.charts.pose(self.moved(c))
-        return found
+        return self.charts.pose(self.moved(c))
 
     def moved(self, c: Chart) -> Chart:
-        found: Chart = self.charts.compose_exp(c, self.x, self.k)
-        return found
+        return self.charts.compose_exp(c, self.x, self.k)
 
     def rate(self, velocity: Vec) -> Vec:
-        found: Vec = self.charts.dexpinv(neg(self.x), velocity, self.k)
-        return found
+        return self.charts.dexpinv(neg(self.x), velocity, self.k)
 
 
 class Ambient(NamedTuple):
@@ -96,20 +93,16 @@ class Ambient(NamedTuple):
         return ambient.rotate_back(self.y, x, self.twice)
 
     def fall(self, gravity: Vec) -> Vec:
-        found: Vec = self.charts.fall(self.y, gravity)
-        return found
+        return self.charts.fall(self.y, gravity)
 
     def place(self, c: Chart) -> Vec:
-        found: Vec = self.charts.place(c, self.y, self.twice)
-        return found
+        return self.charts.place(c, self.y, self.twice)
 
     def pose(self, c: Chart) -> Pose:
         return ambient.turned(c[0], self.y), self.place(c)
 
     def moved(self, c: Chart) -> Chart:
-        found: Chart = self.charts.compose(c, self.y)
-        return found
+        return self.charts.compose(c, self.y)
 
     def rate(self, velocity: Vec) -> Vec:
-        found: Vec = self.charts.rate(self.y, velocity)
-        return found
+        return self.charts.rate(self.y, velocity)

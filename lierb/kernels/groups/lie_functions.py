@@ -32,8 +32,7 @@ class LieFunction(Tag):
 
     @property
     def formula(self) -> Callable[..., Any]:
-        formula: Callable[..., Any] = getattr(GROUPS[self.group], self.name)
-        return formula
+        return getattr(GROUPS[self.group], self.name)
 
 
 def width(group: str, kind: str) -> int:

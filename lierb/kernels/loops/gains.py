@@ -69,8 +69,7 @@ def opened_body(tape: Tape, body: Any) -> Any:
 def opened_numbers(tape: Tape, numbers: Numbers) -> Numbers:
     """Give the numbers of nested tuples inputs of the tape; constants have none."""
     opened = (x if is_constant(x) else Dual(x, (tape.input(),)) for x in flatten(numbers))
-    result: Numbers = refilled(numbers, opened)
-    return result
+    return refilled(numbers, opened)
 
 
 def is_constant(x: Any) -> bool:

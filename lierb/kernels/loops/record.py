@@ -174,8 +174,7 @@ def initial_state(plan: AnyPlan, body: Any, placed: Any, inputs: Any) -> State:
 
 def with_all_parts(plan: AnyPlan, state: State) -> State:
     """Return the state with all derivatives of every number."""
-    whole: State = completed(plan, state)
-    return whole
+    return completed(plan, state)
 
 
 @on_values

@@ -162,10 +162,9 @@ def ticked(run: Adjoint, body: Any, held: Held, noted: Noted, k: Any) -> Held:
     if not controllers_of(run.plan):
         return held
     some_tick = is_ticking(run, body, held, noted, k)
-    after: Held = branch(
+    return branch(
         some_tick, lambda: called(run, run.plain, body, held, noted, k), lambda: held, likely=False
     )
-    return after
 
 
 def called(run: Adjoint, plan: AnyPlan, body: Any, held: Held, noted: Noted, k: Any) -> Held:
@@ -191,8 +190,7 @@ def kept(run: Adjoint, like: Held, memory: Any, row: Any) -> Held:
         x if is_constant(x) else load(memory, (row + next(rows), 0), run.lanes)
         for x in flatten(like)
     )
-    found: Held = refilled(like, numbers)
-    return found
+    return refilled(like, numbers)
 
 
 for _formula in (load_bodies, load_start, with_start_rank, step, is_ticking, keep, kept):

@@ -127,8 +127,7 @@ class _Starting(Passive):
 
     def initial(self, placed: Any) -> Vec:
         """Initial values, flattened."""
-        values: Vec = placed[2]
-        return values
+        return placed[2]
 
 
 class AddedStates(Element):
@@ -204,8 +203,7 @@ class UserStates(PassiveStates):
 
     def rates(self, placed: Any, x: Motion) -> Vec:
         """Derivatives of all states, flattened."""
-        rates: Vec = self.evaluate(placed, x)
-        return rates
+        return self.evaluate(placed, x)
 
 
 @dataclass(frozen=True)

@@ -241,10 +241,7 @@ def multipliers_of(
         return multipliers, ZERO, first.count
     some = first.count if is_zero(initial_count) else maximum(first.count, initial_count)
     independent = multipliers, 0.0, first.count
-    solution: tuple[tuple[Any, ...], Any, Any] = branch(
-        any_lanes(some > 0.5), checked, lambda: independent, likely=False
-    )
-    return solution
+    return branch(any_lanes(some > 0.5), checked, lambda: independent, likely=False)
 
 
 class Elimination:

@@ -188,8 +188,7 @@ class Linear:
         (mask,) = join.args
         tape = (a if isinstance(a, Linear) else b).tape
         places = ((None, x.place if isinstance(x, Linear) else NOWHERE) for x in (a, b))
-        choice: Linear = tape._add(tuple(places), mask)
-        return choice
+        return tape._add(tuple(places), mask)
 
 
 def _is_nothing(x: Any) -> bool:

@@ -54,8 +54,7 @@ class StepClock(NamedTuple):
         return np.minimum(np.arange(self.saved_rows) * self.save_every, self.steps)
 
     def saved_times(self) -> NDArray[np.float64]:
-        times: NDArray[np.float64] = time_of(self, self.saved_steps())
-        return times
+        return time_of(self, self.saved_steps())
 
     @property
     def end(self) -> float:

@@ -21,15 +21,13 @@ class DifferentiableMethod:
     method: Method
 
     def started(self, system: AnySystem, body: Any, state: State, at: Interval) -> State:
-        begun: State = values(self.method.started(system, *lifted((body, state, at))))
-        return begun
+        return values(self.method.started(system, *lifted((body, state, at))))
 
     def step(
         self, system: AnySystem, body: Any, state: State, at: Interval, all_stages: bool = False
     ) -> Step:
         body, state, at = lifted((body, state, at))
-        step: Step = values(self.method.step(system, body, state, at, all_stages))
-        return step
+        return values(self.method.step(system, body, state, at, all_stages))
 
     def defects(self, system: AnySystem, body: Any, slopes: Slopes, h: Any) -> tuple[Defect, ...]:
         return self.method.defects(system, body, slopes, h)
@@ -41,12 +39,10 @@ class DifferentiableMethod:
         self, system: AnySystem, body: Any, state: State, at: Interval, slopes: Slopes
     ) -> Slopes:
         numbers = lifted((body, state, at, slopes))
-        longer: Slopes = values(self.method.extended(system, *numbers))
-        return longer
+        return values(self.method.extended(system, *numbers))
 
     def between(
         self, system: AnySystem, body: Any, state: State, at: Interval, slopes: Slopes, theta: Any
     ) -> State:
         numbers = lifted((body, state, at, slopes, theta))
-        there: State = values(self.method.between(system, *numbers))
-        return there
+        return values(self.method.between(system, *numbers))

@@ -162,5 +162,4 @@ def in_time(system: Any, body: Any, state: State, time: Any, directions: int = 1
     moved: State = system.combine(
         body, state, (1.0,), Slopes().with_stage(rates), Units(0.5 * h, h, h)
     )
-    placed: State = system.move(body, moved)
-    return placed
+    return system.move(body, moved)

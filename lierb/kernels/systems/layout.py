@@ -62,8 +62,7 @@ class Columns:
 
     def index(self, name: str) -> int:
         """Return the column of a field of one number."""
-        first: int = self._slices[name].start
-        return first
+        return self._slices[name].start
 
     def parts(self, numbers: Sequence[Any]) -> dict[str, tuple[Any, ...]]:
         """Return the numbers of each field, by name."""

@@ -72,8 +72,7 @@ def recharted(charts: ModuleType, chart: Chart, x: Vec) -> tuple[Chart, Vec]:
         moved = charts.compose_exp(chart, x)
         return where(far, (moved, tuple(0.0 * y for y in x)), (chart, x))
 
-    pair: tuple[Chart, Vec] = branch(any_lanes(far), move, lambda: (chart, x), likely=False)
-    return pair
+    return branch(any_lanes(far), move, lambda: (chart, x), likely=False)
 
 
 @dataclass(frozen=True)
@@ -222,8 +221,7 @@ class OneBody(StateArithmetic):
 
     def moved(self, chart: Chart, x: Vec) -> Chart:
         """Return C₀ exp X.   x : X/2."""
-        moved: Chart = self.plan.space.charts.compose_exp(chart, x)
-        return moved
+        return self.plan.space.charts.compose_exp(chart, x)
 
     def turning_and_moving(self, x: Vec) -> tuple[Vec, Vec]:
         half = self.width // 2

@@ -100,10 +100,7 @@ class LoopProjection(LoopSteps):
             mark = where((left > OPEN * OPEN) & (left >= 0.25 * opened), 1.0, 0.0)
             return where(is_open, way + further, way), mark
 
-        found: tuple[Lane, Lane] = branch(
-            any_lanes(is_open), again, lambda: (way, 0.0 * way), likely=False
-        )
-        return found
+        return branch(any_lanes(is_open), again, lambda: (way, 0.0 * way), likely=False)
 
     def _correction(self, tree: MemoryTree) -> Index:
         """Row of the first number of a correction, one for each freedom."""

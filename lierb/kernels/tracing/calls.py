@@ -140,8 +140,7 @@ class _Lanes:
         """
         name = f"{self.compiled.fndesc.mangled_name}.{self.width}.{lanes}.clear"
         if name in module.globals:
-            known: ir.Function = module.globals[name]
-            return known
+            return module.globals[name]
         marked = ir.ArrayType(DOUBLE, lanes)
         kinds = (self._packs(self.inputs), self._packs(self.count), marked)
         kind = ir.FunctionType(ir.VoidType(), [ty.as_pointer() for ty in kinds])
