@@ -7,6 +7,7 @@ from ctypes import c_char, c_double
 from math import prod
 from typing import Any, TypeVar
 
+import numba
 import numpy as np
 from llvmlite import ir
 from numba import config, types
@@ -16,6 +17,8 @@ from lierb.compiler.code import OPTIONS
 from lierb.compiler.internals import populate_array
 
 F = TypeVar("F", bound=Callable[..., Any])
+
+part_of_loop = numba.njit(**OPTIONS, inline="always")  # compiled only as part of its caller
 
 
 def shared(function: F) -> F:

@@ -8,10 +8,8 @@ another run can continue, also without changing a bit.
 
 from __future__ import annotations
 
-import numba
-
-from lierb.compiler.code import OPTIONS, cached
-from lierb.compiler.loops import integers_at, numbers_at
+from lierb.compiler.code import cached
+from lierb.compiler.loops import integers_at, numbers_at, part_of_loop
 from lierb.kernels.loops.advance import (
     advance,
     advance_invariant,
@@ -52,10 +50,8 @@ from lierb.kernels.loops.tables import (
 )
 from lierb.kernels.stepping.clock import StepClock, ahead_of, seen_at, share_of, time_of
 
-_part_of_loop = numba.njit(**OPTIONS, inline="always")  # compiled only as part of its caller
 
-
-@_part_of_loop
+@part_of_loop
 def _observe(plan, body, inputs, state, record, clock, k, column, tables, rows_per_link):
     """Measure and save a block at step k, if due."""
     measure, save, row = seen_at(clock, k)
@@ -77,7 +73,7 @@ def _observe(plan, body, inputs, state, record, clock, k, column, tables, rows_p
     return record
 
 
-@_part_of_loop
+@part_of_loop
 def _advance_to(plan, body, state, record, clock, k, end, invariant):
     """Advance a block from step k to step `end`.   invariant : see `is_invariant`."""
     h = clock.dt

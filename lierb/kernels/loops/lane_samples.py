@@ -10,10 +10,7 @@ from __future__ import annotations
 from math import sqrt
 from typing import Any
 
-import numba
-
-from lierb.compiler.code import OPTIONS
-from lierb.compiler.loops import histories_at, numbers_at
+from lierb.compiler.loops import histories_at, numbers_at, part_of_loop
 from lierb.kernels.loops import lane_between as inner
 from lierb.kernels.loops import workspace as ws
 from lierb.kernels.loops.lane_between import Part
@@ -56,10 +53,8 @@ OVERSHOOT = 0.4  # of a quartic beyond its values at the nodes, relative to thei
 GAIN = 1e-9  # least gain for which an extreme is evaluated, relative to the range of the samples
 MOST_TRIES = 20  # evaluations at an extreme
 
-_part_of_loop = numba.njit(**OPTIONS, inline="always")  # compiled only as part of its caller
 
-
-@_part_of_loop
+@part_of_loop
 def take_samples(plan, body, ranked, state, moved, slopes, trial, accepted, lanes, own):
     """Sample all observables within a step; return the lanes with their statistics.
 

@@ -10,11 +10,9 @@ state of all lanes.
 
 from __future__ import annotations
 
-import numba
-
-from lierb.compiler.code import OPTIONS, cached
+from lierb.compiler.code import cached
 from lierb.compiler.entries import call
-from lierb.compiler.loops import histories_at, integers_at, numbers_at, shared
+from lierb.compiler.loops import histories_at, integers_at, numbers_at, part_of_loop, shared
 from lierb.kernels.loops import event_search as search
 from lierb.kernels.loops import lane_between as inner
 from lierb.kernels.loops import lane_state
@@ -47,8 +45,6 @@ from lierb.kernels.stepping.lane_clock import Span
 from lierb.kernels.stepping.step_size import Tolerances
 from lierb.kernels.systems.extra_states import with_signals
 
-_part_of_loop = numba.njit(**OPTIONS, inline="always")  # compiled only as part of its caller
-
 
 @shared
 def _request(entry, kind, inputs, counter, jobs):
@@ -57,7 +53,7 @@ def _request(entry, kind, inputs, counter, jobs):
     call(entry, inputs, counter, jobs)
 
 
-@_part_of_loop
+@part_of_loop
 def _check_starts(plan, inputs, counter, job):
     """Check block by block whether trajectories start on their joints."""
     is_new, lanes = True, inputs.shape[1]
@@ -74,7 +70,7 @@ def _check_starts(plan, inputs, counter, job):
             is_new = False
 
 
-@_part_of_loop
+@part_of_loop
 def _store_row(plan, body, inputs, state, lanes, row, own, is_saved, time):
     """Store a row of the history in the workspace.   is_saved : whether states are recorded."""
     at = Place(0, 1, 0)
@@ -84,7 +80,7 @@ def _store_row(plan, body, inputs, state, lanes, row, own, is_saved, time):
         lane_state.put_shown(plan, body, inputs, state, lanes, numbers_at(own.shown))
 
 
-@_part_of_loop
+@part_of_loop
 def _store_ends(plan, body, inputs, lanes, termination, span, own):
     """Store summary and end of all lanes, including those that have not terminated."""
     summary, ends = numbers_at(own.summary), numbers_at(own.ends)
@@ -99,14 +95,14 @@ def _store_ends(plan, body, inputs, lanes, termination, span, own):
     _store_derivatives(plan, seen, inputs, lanes.state, lanes, own, lanes.clock.t)
 
 
-@_part_of_loop
+@part_of_loop
 def _store_derivatives(plan, body, inputs, state, lanes, own, time):
     """Store the derivatives of a state at an event or at the end, in the workspace."""
     array = numbers_at(own.end_derivatives)
     store_end_derivatives(plan, body, inputs, state, lanes.record, array, 0, time)
 
 
-@_part_of_loop
+@part_of_loop
 def _start(plan, body, inputs, counter, jobs, lanes, fresh, span, limits):
     """Start the trajectories of fresh lanes."""
     job, own = jobs[0], jobs[1]
@@ -130,7 +126,7 @@ def _start(plan, body, inputs, counter, jobs, lanes, fresh, span, limits):
     return lanes
 
 
-@_part_of_loop
+@part_of_loop
 def _save_between(plan, body, inputs, counter, jobs, lanes, there):
     """Save the rows that are due within a step."""
     job, own = jobs[0], jobs[1]
@@ -149,7 +145,7 @@ def _save_between(plan, body, inputs, counter, jobs, lanes, there):
     return steps.with_due(plan, rows, lanes)
 
 
-@_part_of_loop
+@part_of_loop
 def _look_between(
     plan, body, seen, inputs, counter, jobs, lanes, made, trial, accepted, termination
 ):
@@ -228,7 +224,7 @@ def _look_between(
     return moved, lanes, termination
 
 
-@_part_of_loop
+@part_of_loop
 def _measure(plan, body, inputs, counter, jobs, lanes, span, fresh, termination):
     """Measure the lanes at the end of a step, and save the rows that are due there."""
     job, own = jobs[0], jobs[1]
