@@ -5,7 +5,9 @@ The numbers of a step are `lifted`, so that these derivatives do not mix.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 from lierb.kernels.numbers.dual import lifted, values
@@ -15,19 +17,23 @@ from lierb.kernels.systems.system import AnySystem
 
 
 @dataclass(frozen=True)
-class DifferentiableMethod:
-    """Steps of the method have numbers with derivatives; see `Method`."""
+class WrappedMethod:
+    """A method whose steps another method makes, on other numbers; see `Method`."""
 
     method: Method
 
+    def evaluated(self, formula: Callable[..., Any], *operands: Any) -> Any:
+        """Return formula(*operands), with derivatives."""
+        raise NotImplementedError
+
     def started(self, system: AnySystem, body: Any, state: State, at: Interval) -> State:
-        return values(self.method.started(system, *lifted((body, state, at))))
+        return self.evaluated(partial(self.method.started, system), body, state, at)
 
     def step(
         self, system: AnySystem, body: Any, state: State, at: Interval, all_stages: bool = False
     ) -> Step:
-        body, state, at = lifted((body, state, at))
-        return values(self.method.step(system, body, state, at, all_stages))
+        step = partial(self.method.step, system, all_stages=all_stages)
+        return self.evaluated(step, body, state, at)
 
     def defects(self, system: AnySystem, body: Any, slopes: Slopes, h: Any) -> tuple[Defect, ...]:
         return self.method.defects(system, body, slopes, h)
@@ -38,11 +44,18 @@ class DifferentiableMethod:
     def extended(
         self, system: AnySystem, body: Any, state: State, at: Interval, slopes: Slopes
     ) -> Slopes:
-        numbers = lifted((body, state, at, slopes))
-        return values(self.method.extended(system, *numbers))
+        return self.evaluated(partial(self.method.extended, system), body, state, at, slopes)
 
     def between(
         self, system: AnySystem, body: Any, state: State, at: Interval, slopes: Slopes, theta: Any
     ) -> State:
-        numbers = lifted((body, state, at, slopes, theta))
-        return values(self.method.between(system, *numbers))
+        between = partial(self.method.between, system)
+        return self.evaluated(between, body, state, at, slopes, theta)
+
+
+@dataclass(frozen=True)
+class DifferentiableMethod(WrappedMethod):
+    """Steps of the method have numbers with derivatives."""
+
+    def evaluated(self, formula: Callable[..., Any], *operands: Any) -> Any:
+        return values(formula(*lifted(operands)))

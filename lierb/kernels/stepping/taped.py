@@ -15,23 +15,23 @@ from lierb.kernels.numbers.arithmetic import alike, flatten, plain, recorded_on
 from lierb.kernels.numbers.dual import Dual, parts_of, value_of, values
 from lierb.kernels.numbers.tape import Linear, Tape
 from lierb.kernels.numbers.zero import is_zero
-from lierb.kernels.stepping.method import Defect, Interval, Method, Step
-from lierb.kernels.systems.state import Slopes, State
+from lierb.kernels.stepping.differentiable import WrappedMethod
+from lierb.kernels.stepping.method import Interval, Step
+from lierb.kernels.systems.state import State
 from lierb.kernels.systems.system import AnySystem
 
 
 @dataclass(frozen=True)
-class TapedMethod:
-    """A loop over the directions computes the derivatives of the method's steps; see `Method`.
+class TapedMethod(WrappedMethod):
+    """A loop over the directions computes the derivatives of the method's steps.
 
     with_slopes : True if the slopes of a step have derivatives, for dense output.
     """
 
-    method: Method
     with_slopes: bool
 
-    def started(self, system: AnySystem, body: Any, state: State, at: Interval) -> State:
-        return with_loop(lambda *given: self.method.started(system, *given), body, state, at)
+    def evaluated(self, formula: Callable[..., Any], *operands: Any) -> Any:
+        return with_loop(formula, *operands)
 
     def step(
         self, system: AnySystem, body: Any, state: State, at: Interval, all_stages: bool = False
@@ -42,25 +42,7 @@ class TapedMethod:
             only_values: Step = values(made)
             return only_values._replace(state=made.state, slopes=slopes)
 
-        return with_loop(formula, body, state, at)
-
-    def defects(self, system: AnySystem, body: Any, slopes: Slopes, h: Any) -> tuple[Defect, ...]:
-        return self.method.defects(system, body, slopes, h)
-
-    def extrapolated(self, system: AnySystem, state: State, slopes: Slopes, h: Any) -> State:
-        return self.method.extrapolated(system, state, slopes, h)
-
-    def extended(
-        self, system: AnySystem, body: Any, state: State, at: Interval, slopes: Slopes
-    ) -> Slopes:
-        operands = body, state, at, slopes
-        return with_loop(lambda *given: self.method.extended(system, *given), *operands)
-
-    def between(
-        self, system: AnySystem, body: Any, state: State, at: Interval, slopes: Slopes, theta: Any
-    ) -> State:
-        operands = body, state, at, slopes, theta
-        return with_loop(lambda *given: self.method.between(system, *given), *operands)
+        return self.evaluated(formula, body, state, at)
 
 
 def with_loop(formula: Callable[..., Any], *operands: Any) -> Any:
