@@ -14,14 +14,14 @@ from lierb.kernels.mechanics.rows import Row, Rows
 from lierb.kernels.mechanics.tree import GROUND, Connection, Node
 from lierb.kernels.mechanics.tree_nodes import JointKind, Kind
 from lierb.kernels.systems.layout import FEW_DIRECTIONS
-from lierb.kernels.systems.scheme import ExplicitScheme, Scheme, StagedScheme
+from lierb.kernels.systems.scheme import ExplicitScheme, HashedOnce, Scheme, StagedScheme
 
 UPDATES = ("local", "global", "ambient")
 EVERYTHING = ("inputs",)  # `moving` of looped code, in which all inputs have derivatives
 
 
 @dataclass(frozen=True, kw_only=True)
-class AnyPlan(Tag):
+class AnyPlan(HashedOnce, Tag):
     """Fields and properties shared by the plans of one body and of a mechanism.
 
     update : "local" or "global", coordinates X of a step's chart or of a chart for many steps;
@@ -82,13 +82,6 @@ class AnyPlan(Tag):
     def keeps_rank(self) -> bool:
         """True if a run must end with the number of redundant rows that it starts with."""
         return False
-
-    @cached_property
-    def _digest(self) -> int:
-        return hash(tuple(getattr(self, field.name) for field in fields(self)))
-
-    def __hash__(self) -> int:  # computed once: hashing many members takes time
-        return self._digest
 
     @property
     def has_lane_clocks(self) -> bool:
@@ -162,8 +155,6 @@ class Plan(AnyPlan):
     cspace: str
     solver: str = "saddle"
 
-    __hash__ = AnyPlan.__hash__
-
     @cached_property
     def space(self) -> type[SE3] | type[SO3xR3]:
         return CSPACES[self.cspace]
@@ -235,7 +226,6 @@ class LoopPlan(AnyPlan):
     constraint_kinds: tuple[ConstraintKind, ...] = ()
     stabilisation: Stabilisation = UNSTABILISED
 
-    __hash__ = AnyPlan.__hash__
     is_looped = True
 
     @property
@@ -269,8 +259,6 @@ class MechanismPlan(AnyPlan):
     stabilisation: Stabilisation = UNSTABILISED
     joint_kinds: tuple[JointKind, ...] = ()
     usual_constraints: tuple[ConstraintKind, ...] = ()
-
-    __hash__ = AnyPlan.__hash__
 
     @property
     def carried(self) -> int:

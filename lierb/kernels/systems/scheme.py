@@ -32,8 +32,23 @@ class Extension:
     weights: Stages
 
 
+@dataclass(frozen=True)
+class HashedOnce:
+    """Frozen dataclasses with many members inherit a hash that is computed once."""
+
+    def __init_subclass__(cls) -> None:
+        cls.__hash__ = HashedOnce.__hash__  # type: ignore[method-assign]  # a dataclass keeps it
+
+    @cached_property
+    def _digest(self) -> int:
+        return hash(tuple(getattr(self, field.name) for field in fields(self)))
+
+    def __hash__(self) -> int:
+        return self._digest
+
+
 @dataclass(frozen=True, kw_only=True)
-class Scheme:
+class Scheme(HashedOnce):
     """A scheme is what compiled code knows of a one-step method: its coefficients.
 
     embedded, extension : error estimate and continuous extension; None without these.
@@ -42,13 +57,6 @@ class Scheme:
     embedded: Embedded | None = None
     extension: Extension | None = None
     iterates: ClassVar[bool] = False  # True if a step solves equations by iteration
-
-    @cached_property
-    def _digest(self) -> int:
-        return hash(tuple(getattr(self, field.name) for field in fields(self)))
-
-    def __hash__(self) -> int:  # computed once: hashing many numbers takes time
-        return self._digest
 
     @property
     def described(self) -> dict[str, Any]:
@@ -79,8 +87,6 @@ class StagedScheme(Scheme):
     stages: Stages
     weights: tuple[float, ...]
 
-    __hash__ = Scheme.__hash__
-
     @property
     def described(self) -> dict[str, Any]:
         numbers: dict[str, Any] = {"A": self.stages, "b": self.weights}
@@ -109,8 +115,6 @@ class ExplicitScheme(StagedScheme):
 
     exponentials: tuple[Stages, ...] = ()
 
-    __hash__ = Scheme.__hash__
-
     @property
     def described(self) -> dict[str, Any]:
         numbers = super().described
@@ -135,8 +139,6 @@ class RosenbrockScheme(StagedScheme):
     nodes: tuple[float, ...]
     late: tuple[float, ...]
 
-    __hash__ = Scheme.__hash__
-
     @property
     def described(self) -> dict[str, Any]:
         return {**super().described, "C": self.couplings, "gamma": self.gamma}
@@ -152,7 +154,6 @@ class VerletScheme(Scheme):
     shares: tuple[float, ...]
 
     iterates = True
-    __hash__ = Scheme.__hash__
 
     @property
     def described(self) -> dict[str, Any]:
@@ -164,7 +165,6 @@ class RattleScheme(Scheme):
     """RATTLE on a Lie group has no coefficients."""
 
     iterates = True
-    __hash__ = Scheme.__hash__
 
     @property
     def described(self) -> dict[str, Any]:
@@ -176,7 +176,6 @@ class ShakeScheme(Scheme):
     """SHAKE on a Lie group has no coefficients."""
 
     iterates = True
-    __hash__ = Scheme.__hash__
 
     @property
     def described(self) -> dict[str, Any]:
@@ -194,7 +193,6 @@ class BLieDFScheme(Scheme):
     order: int
 
     iterates = True
-    __hash__ = Scheme.__hash__
 
     @property
     def described(self) -> dict[str, Any]:
@@ -217,7 +215,6 @@ class AlphaScheme(Scheme):
     index: int
 
     iterates = True
-    __hash__ = Scheme.__hash__
 
     @property
     def described(self) -> dict[str, Any]:
