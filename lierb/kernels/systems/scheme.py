@@ -61,7 +61,8 @@ class Scheme(HashedOnce):
     @property
     def described(self) -> dict[str, Any]:
         """Return the arguments of the class in `lierb.methods` that make the same method."""
-        raise NotImplementedError
+        own = fields(self)[len(fields(Scheme)) :]
+        return {field.name: getattr(self, field.name) for field in own}
 
     @property
     def length(self) -> float:
@@ -155,10 +156,6 @@ class VerletScheme(Scheme):
 
     iterates = True
 
-    @property
-    def described(self) -> dict[str, Any]:
-        return {"shares": self.shares}
-
 
 @dataclass(frozen=True, kw_only=True)
 class RattleScheme(Scheme):
@@ -166,20 +163,12 @@ class RattleScheme(Scheme):
 
     iterates = True
 
-    @property
-    def described(self) -> dict[str, Any]:
-        return {}
-
 
 @dataclass(frozen=True, kw_only=True)
 class ShakeScheme(Scheme):
     """SHAKE on a Lie group has no coefficients."""
 
     iterates = True
-
-    @property
-    def described(self) -> dict[str, Any]:
-        return {}
 
     def carried(self, rows: int, width: int = 6) -> int:
         """Return the number of X and of its failure (1)."""
@@ -193,10 +182,6 @@ class BLieDFScheme(Scheme):
     order: int
 
     iterates = True
-
-    @property
-    def described(self) -> dict[str, Any]:
-        return {"order": self.order}
 
     def carried(self, rows: int, width: int = 6) -> int:
         """Return the number of V̇, of V and Δ of an earlier step with two steps, and of λ."""
@@ -215,10 +200,6 @@ class AlphaScheme(Scheme):
     index: int
 
     iterates = True
-
-    @property
-    def described(self) -> dict[str, Any]:
-        return {"rho": self.rho, "index": self.index}
 
     def carried(self, rows: int, width: int = 6) -> int:
         """Return the number of V̇, a and λ."""
