@@ -9,7 +9,7 @@ from llvmlite import ir
 from numba import types
 
 from lierb.compiler.internals import cgutils
-from lierb.kernels.tracing.lanes import DOUBLE, INT32, Lane, Trace, Traced, constant_of
+from lierb.kernels.tracing.lanes import DOUBLE, INT32, Lane, Trace, Traced, pack_of, value_as
 
 LINE = 8  # doubles in a cache line
 
@@ -74,18 +74,14 @@ class ArrayRef(Traced):
 
     def load(self, index: Sequence[Any], lanes: int) -> Lane:
         """Load `lanes` consecutive doubles from `index` on."""
-        pointer = self._pointer(index)
-        if lanes > 1:
-            pointer = self.builder.bitcast(pointer, ir.VectorType(DOUBLE, lanes).as_pointer())
+        pointer = self.builder.bitcast(self._pointer(index), pack_of(lanes).as_pointer())
         return Lane(self.trace, self.builder.load(pointer, align=8))
 
     def store(self, index: Sequence[Any], number: Any, lanes: int) -> None:
         """Write a pack to `lanes` consecutive elements from `index` on."""
-        ty = ir.VectorType(DOUBLE, lanes) if lanes > 1 else DOUBLE
-        value = number.widened(lanes).value if isinstance(number, Lane) else constant_of(ty, number)
-        pointer = self._pointer(index)
-        if lanes > 1:
-            pointer = self.builder.bitcast(pointer, ty.as_pointer())
+        pack = pack_of(lanes)
+        value = value_as(pack, number)
+        pointer = self.builder.bitcast(self._pointer(index), pack.as_pointer())
         self.builder.store(value, pointer, align=8)
 
     def prefetch(self, index: Sequence[Any], count: int) -> None:
@@ -146,15 +142,12 @@ class ArrayRef(Traced):
         """Write the first `count` lanes, one at a time."""
         builder = self.builder
         packs = ir.ArrayType(ir.ArrayType(DOUBLE, lanes), len(numbers))
-        buffer = cgutils.alloca_once(builder, packs)
+        buffer, pack = cgutils.alloca_once(builder, packs), pack_of(lanes)
         zero = ir.Constant(INT32, 0)
         for n, number in enumerate(numbers):
-            ty = ir.VectorType(DOUBLE, lanes) if lanes > 1 else DOUBLE
-            value = (
-                number.widened(lanes).value if isinstance(number, Lane) else constant_of(ty, number)
-            )
+            value = value_as(pack, number)
             pointer = builder.gep(buffer, [zero, ir.Constant(INT32, n), zero])
-            builder.store(value, builder.bitcast(pointer, ty.as_pointer()), align=8)
+            builder.store(value, builder.bitcast(pointer, pack.as_pointer()), align=8)
         start = self._as_value(places[0][axis])
         with cgutils.for_range(builder, count) as loop:
             moved = Index(self.trace, builder.add(start, loop.index))

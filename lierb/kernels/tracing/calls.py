@@ -15,7 +15,16 @@ from lierb.compiler.code import OPTIONS, run_uninterrupted
 from lierb.compiler.entries import raise_again
 from lierb.compiler.internals import INT64, call_linked, cgutils, link, populate_array
 from lierb.kernels.numbers.arithmetic import branch, where
-from lierb.kernels.tracing.lanes import BIT, DOUBLE, INT32, Lane, Predicate, Trace
+from lierb.kernels.tracing.lanes import (
+    BIT,
+    DOUBLE,
+    INT32,
+    Lane,
+    Predicate,
+    Trace,
+    pack_of,
+    value_as,
+)
 
 
 def call_compiled(
@@ -32,8 +41,7 @@ def call_compiled(
     trace, width = lanes[0].trace, max(x.lanes for x in lanes)
     builder, context = trace.builder, trace.target
     if context is None:
-        pack = ir.VectorType(DOUBLE, width) if width > 1 else DOUBLE
-        return [Lane(trace, ir.Constant(pack, ir.Undefined))] * count
+        return [Lane(trace, ir.Constant(pack_of(width), ir.Undefined))] * count
     types_of = tuple(numba.typeof(sample) for sample in samples)
     dispatcher.compile(types_of)
     result = dispatcher.overloads[types_of]
@@ -41,8 +49,7 @@ def call_compiled(
 
     marks = Marks.of(trace, width)
     code = _Lanes(context, result, types_of, samples, len(numbers), count, width)
-    traced = (x if isinstance(x, Lane) else lanes[0].constant(float(x)) for x in numbers)
-    packs = [x.widened(width).value for x in traced]
+    packs = [value_as(pack_of(width), x) for x in numbers]
 
     def all_called() -> tuple[Lane, ...]:
         inward, outward = code.memory(builder)
@@ -90,8 +97,7 @@ class _Lanes:
         return inward, cgutils.alloca_once(builder, self._packs(self.count))
 
     def _whole(self, builder: ir.IRBuilder, buffer: ir.Value, n: int) -> ir.Value:
-        pack = ir.VectorType(DOUBLE, self.width) if self.width > 1 else DOUBLE
-        return builder.bitcast(_place(builder, buffer, n, 0), pack.as_pointer())
+        return builder.bitcast(_place(builder, buffer, n, 0), pack_of(self.width).as_pointer())
 
     def put(self, builder: ir.IRBuilder, packs: list[ir.Value], inward: ir.Value) -> None:
         for n, value in enumerate(packs):
@@ -197,8 +203,7 @@ class Marks:
     @property
     def whole(self) -> ir.Value:
         """Return the pointer to all marks, as a pack."""
-        pack = ir.VectorType(DOUBLE, self.lanes) if self.lanes > 1 else DOUBLE
-        return self.builder.bitcast(self.memory, pack.as_pointer())
+        return self.builder.bitcast(self.memory, pack_of(self.lanes).as_pointer())
 
     @property
     def pack(self) -> Lane:

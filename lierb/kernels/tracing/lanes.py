@@ -39,18 +39,20 @@ def splat(builder: ir.IRBuilder, value: ir.Value, lanes: int) -> ir.Value:
     )
 
 
+def pack_of(lanes: int) -> ir.Type:
+    """Return the LLVM type of a pack, or of one double."""
+    return ir.VectorType(DOUBLE, lanes) if lanes > 1 else DOUBLE
+
+
 def constant_of(like: ir.Type, value: float) -> ir.Constant:
-    lanes = like.count if isinstance(like, ir.VectorType) else 1
-    return _constant_pack(lanes, float(value).hex())
+    return _constant_pack(_count(like), float(value).hex())
 
 
 @cache
 def _constant_pack(lanes: int, digits: str) -> ir.Constant:
     """Return a constant pack of a number in hexadecimal: as cache keys, 0.0 and −0.0 are equal."""
     value = float.fromhex(digits)
-    if lanes == 1:
-        return ir.Constant(DOUBLE, value)
-    return ir.Constant(ir.VectorType(DOUBLE, lanes), [value] * lanes)
+    return ir.Constant(pack_of(lanes), value if lanes == 1 else [value] * lanes)
 
 
 class Trace:
@@ -249,11 +251,9 @@ class Lane(Traced):
         """Emit `turn` once, as the body of a loop with its state in phi nodes."""
         trace, builder, ty = like.trace, like.builder, like.value.type
 
-        def value_of(x: Any) -> ir.Value:
-            return x.widened(like.lanes).value if isinstance(x, Lane) else constant_of(ty, plain(x))
-
         everywhere, none = (like == like) | True, like.constant(0.0)
-        first = [*map(value_of, flatten(start)), everywhere.value, none.value, INT32(0)]
+        given = (value_as(ty, plain(x)) for x in flatten(start))
+        first = [*given, everywhere.value, none.value, INT32(0)]
         entry = builder.block
         loop, after = (builder.append_basic_block(name) for name in ("repeat", "repeated"))
         builder.branch(loop)
@@ -289,8 +289,7 @@ class Lane(Traced):
         trace, builder, ty = like.trace, like.builder, like.value.type
         given = _Packs(builder, ty, len(rows) * len(rows[0]))
         for i, x in enumerate(x for row in rows for x in row):
-            is_traced = isinstance(x, Lane)
-            given.store(INT32(i), x.widened(like.lanes).value if is_traced else constant_of(ty, x))
+            given.store(INT32(i), value_as(ty, x))
         with cgutils.for_range(builder, INT32(len(rows))) as loop:
             first = builder.mul(loop.index, INT32(len(rows[0])))
             places = [builder.add(first, INT32(i)) for i in range(len(rows[0]))]
@@ -319,6 +318,13 @@ class Lane(Traced):
     def widened(self, lanes: int) -> Lane:
         """Broadcast the number to `lanes` lanes."""
         return Lane(self.trace, splat(self.builder, self.value, lanes))
+
+
+def value_as(pack: ir.Type, x: Any) -> ir.Value:
+    """Convert a number to an LLVM value of the type `pack`."""
+    if not isinstance(x, Lane):
+        return constant_of(pack, x)
+    return splat(x.builder, x.value, _count(pack))
 
 
 class Mask(Traced):
@@ -366,13 +372,9 @@ class Mask(Traced):
     def select(self, a: Any, b: Any) -> Lane:
         """Select `a` where the mask holds, `b` elsewhere; a scalar mask decides for all lanes."""
         widths = (x.lanes for x in (a, b) if isinstance(x, Lane))
-        count = max(_count(self.value.type), *widths, 1)
-        like = ir.VectorType(DOUBLE, count) if count > 1 else DOUBLE
-
-        def convert(x: Any) -> ir.Value:
-            return x.widened(count).value if isinstance(x, Lane) else constant_of(like, x)
-
-        return Lane(self.trace, self.builder.select(self.value, convert(a), convert(b)))
+        pack = pack_of(max(_count(self.value.type), *widths, 1))
+        values = (value_as(pack, x) for x in (a, b))
+        return Lane(self.trace, self.builder.select(self.value, *values))
 
 
 class Predicate(Traced):

@@ -17,7 +17,7 @@ from lierb.compiler.internals import cgutils
 from lierb.kernels.numbers.arithmetic import plain
 from lierb.kernels.numbers.dual import Dual, parts_of, value_of
 from lierb.kernels.tracing.arrays import Index
-from lierb.kernels.tracing.lanes import DOUBLE, Lane, Trace, constant_of
+from lierb.kernels.tracing.lanes import Lane, Trace, constant_of, pack_of, value_as
 
 LINE = 64  # bytes; rows start at a multiple of it or, if they are shorter, of their own length
 
@@ -35,7 +35,7 @@ class Rows:
         self, memory: Index, lanes: int, first: Index | int = 0, packs: int = 1, parts: int = 0
     ) -> None:
         self.trace, self.lanes, self.packs, self.parts = memory.trace, lanes, packs, parts
-        self.pack = ir.VectorType(DOUBLE, lanes) if lanes > 1 else DOUBLE
+        self.pack = pack_of(lanes)
         self.align = min(8 * lanes, LINE)
         start = memory.builder.inttoptr(memory.value, self.pack.as_pointer())
         self.start = start if first == 0 else self._at(start, first)
@@ -72,9 +72,7 @@ class Rows:
         for i, number in enumerate(numbers):
             members = _members(number, self.parts)[: 1 + self.parts]
             for part, member in enumerate(members):
-                x = plain(member)
-                is_traced = isinstance(x, Lane)
-                value = x.widened(self.lanes).value if is_traced else constant_of(self.pack, x)
+                value = value_as(self.pack, plain(member))
                 place = self._at(self.start, row + i, part)
                 self.trace.builder.store(value, place, align=self.align)
 
@@ -100,10 +98,7 @@ def for_each(count: Index, do: Callable[[Index], None], backward: bool = False) 
 
 
 def accumulated(
-    count: Index,
-    start: Sequence[Any],
-    step: Callable[[Index, tuple[Any, ...]], Sequence[Any]],
-    backward: bool = False,
+    count: Index, start: Sequence[Any], step: Callable[[Index, tuple[Any, ...]], Sequence[Any]]
 ) -> tuple[Any, ...]:
     """Emit a loop that replaces some numbers by step(i, numbers), for i = 0 … count − 1.
 
@@ -119,16 +114,14 @@ def accumulated(
     def keep(numbers: Sequence[Any]) -> None:
         for places, size, x in zip(slots, sizes, numbers, strict=True):
             for slot, member in zip(places, _members(x, size)[: 1 + size], strict=True):
-                is_traced = isinstance(member, Lane)
-                value = member.value if is_traced else constant_of(slot.type.pointee, member)
-                builder.store(value, slot)
+                builder.store(value_as(slot.type.pointee, member), slot)
 
     def kept() -> tuple[Any, ...]:
         loaded = ([Lane(count.trace, builder.load(slot)) for slot in places] for places in slots)
         return tuple(Dual(x, tuple(parts)) if parts else x for x, *parts in loaded)
 
     keep(start)
-    for_each(count, lambda i: keep(step(i, kept())), backward)
+    for_each(count, lambda i: keep(step(i, kept())))
     return kept()
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from llvmlite import ir
 
 from lierb.kernels.numbers.arithmetic import floor
-from lierb.kernels.tracing.lanes import DOUBLE, Lane, Trace, splat
+from lierb.kernels.tracing.lanes import DOUBLE, Lane, Traced, splat
 
 INT64 = ir.IntType(64)
 LOW = 0xFFFFFFFF  # mask of the lower 32 bits
@@ -33,7 +33,7 @@ def real_of(word: Any) -> Any:
     """Return the number of a word below 2⁵³."""
     if isinstance(word, Words):
         kind = _like(DOUBLE, word.value.type)
-        return Lane(word.trace, word.trace.builder.sitofp(word.value, kind))
+        return Lane(word.trace, word.builder.sitofp(word.value, kind))
     return word.astype(np.float64) if isinstance(word, np.ndarray) else float(word)
 
 
@@ -50,7 +50,7 @@ def of_bits(word: Any) -> Any:
     """Return the double with these bits."""
     if isinstance(word, Words):
         kind = _like(DOUBLE, word.value.type)
-        return Lane(word.trace, word.trace.builder.bitcast(word.value, kind))
+        return Lane(word.trace, word.builder.bitcast(word.value, kind))
     return (
         word.view(np.float64)
         if isinstance(word, np.ndarray)
@@ -77,19 +77,16 @@ def _like(scalar: ir.Type, pack: ir.Type) -> ir.Type:
 def _emits(instruction: str) -> Callable[[Words, Any], Words]:
     def operation(self: Words, other: Any) -> Words:
         a, b = self.widened(other), self.constant_or(other).widened(self)
-        return Words(self.trace, getattr(self.trace.builder, instruction)(a, b))
+        return Words(self.trace, getattr(self.builder, instruction)(a, b))
 
     return operation
 
 
-class Words:
+class Words(Traced):
     """A pack of words has a traced word of each lane."""
 
-    __slots__ = ("trace", "value")
+    __slots__ = ()
     __array_ufunc__ = None
-
-    def __init__(self, trace: Trace, value: ir.Value) -> None:
-        self.trace, self.value = trace, value
 
     __add__ = __radd__ = _emits("add")
     __mul__ = __rmul__ = _emits("mul")
@@ -106,4 +103,4 @@ class Words:
         is_pack = isinstance(other, Words) and isinstance(other.value.type, ir.VectorType)
         if not is_pack:
             return self.value
-        return splat(self.trace.builder, self.value, other.value.type.count)
+        return splat(self.builder, self.value, other.value.type.count)
