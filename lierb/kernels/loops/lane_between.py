@@ -179,14 +179,6 @@ def put_part(plan: AnyPlan, rows: Any, trial: Trial, part: Part) -> None:
     put_row(plan, rows, ws.LENGTH, trial.h / part.count)
 
 
-class Ending(NamedTuple):
-    """A step with a terminal event: state and lanes at its end, and the termination codes."""
-
-    state: State
-    lanes: Lanes
-    termination: Any
-
-
 def ended_between(
     plan: AnyPlan,
     rows: Any,
@@ -196,8 +188,11 @@ def ended_between(
     part: Part,
     lanes: Lanes,
     termination: Any,
-) -> Ending:
-    """End the step at its first terminal event.   there : states at θ = LAST of the part."""
+) -> tuple[State, Lanes, Any]:
+    """End the step at its first terminal event: return state, lanes and the termination codes.
+
+    there : states at θ = LAST of the part.
+    """
     last, clock = row_of(plan, rows, ws.LAST), lanes.clock
     ends = last <= 1.0
     state = where(ends, there, moved)
@@ -206,7 +201,7 @@ def ended_between(
         t=t, anchor=where(ends, t, clock.anchor), counted=where(ends, 0.0, clock.counted)
     )
     code = where(ends, float(EVENT + 1), termination)
-    return Ending(state, lanes._replace(clock=clock), code)
+    return state, lanes._replace(clock=clock), code
 
 
 def ends_between(plan: AnyPlan, rows: Any) -> Any:

@@ -160,18 +160,6 @@ def attempted(plan: AnyPlan, body: Any, lanes: Lanes, trial: Trial, limits: Tole
     return Made(moved, slopes, singular, unsolved, turns, square, correction, nearer)
 
 
-class Decision(NamedTuple):
-    """Decision on a trial.
-
-    accepted : 1 where the step is accepted.   failed : status, OK if none.   lanes : lanes with the
-    clock after the step.
-    """
-
-    accepted: Any
-    failed: Any
-    lanes: Lanes
-
-
 def decided(
     plan: AnyPlan,
     body: Any,
@@ -180,8 +168,12 @@ def decided(
     trial: Trial,
     limits: Tolerances,
     active: Any,
-) -> Decision:
-    """Accept a step, or shorten it, or end the trajectory."""
+) -> tuple[Any, Any, Lanes]:
+    """Accept a step, or shorten it, or end the trajectory.
+
+    Return 1 where it is accepted; its status, OK if it does not fail; and the lanes with the clock
+    after the step.
+    """
     moved, square, singular = values(made.state), made.square, made.singular
     turns, places = system_of(plan).turns_and_places(moved.chart)
     numbers = (*turns, *moved.v_or_mu, *moved.x, *places, moved.work, *moved.states)
@@ -196,13 +188,12 @@ def decided(
     if plan.is_adaptive:
         body, before = values(body), values(lanes.state)
         longest = longest_step(plan, body, before, moved, clock.t, trial.h, clock.h)
-    verdict = judged(
+    accepted, failed, clock = judged(
         plan, clock, trial, fine, singular, made.unsolved, square, longest, made.nearer, limits,
         active,
     )  # fmt: skip
     record = with_turns(lanes.record, made.turns, active > 0.5)
-    after = lanes._replace(clock=verdict.clock, record=record)
-    return Decision(verdict.accepted, verdict.failed, after)
+    return accepted, failed, lanes._replace(clock=clock, record=record)
 
 
 def with_failures(lanes: Lanes, failed: Any, termination: Any) -> tuple[Lanes, Any]:

@@ -47,13 +47,6 @@ class PoseTolerances(NamedTuple):
     rotation: Number = START_TOLERANCE
 
 
-class TwistTolerances(NamedTuple):
-    """Hold the tolerances of a start's twist."""
-
-    velocity: Number  # m/s
-    rotation_rate: Number  # rad/s
-
-
 def pose_tolerances(p: Parameters, pose: Pose) -> PoseTolerances:
     """Return the tolerances of a pose in the user's frames."""
     length = length_of(p)
@@ -62,8 +55,8 @@ def pose_tolerances(p: Parameters, pose: Pose) -> PoseTolerances:
 
 def twist_tolerances(
     rows: Rows, p: Parameters, pose: PoseTolerances, twist: Vec, x: Kinematics, body: BodyConstants
-) -> TwistTolerances:
-    """Tolerances of a twist in the user's frames; `x` and `body` are in joint axes.
+) -> tuple[Number, Number]:
+    """Tolerances of a twist in the user's frames, m/s and rad/s; `x`, `body` are in joint axes.
 
     The tolerance of a velocity has two terms: the pose's, relative to the speed, and the rounding
     of the speed that gravity and motors cause in the problem's characteristic time. A body at rest
@@ -78,10 +71,8 @@ def twist_tolerances(
         if r.depends_on_time:
             rate = rate + sqrt(absolute(r.acceleration(x, body)))
     rounding = ROUNDING * rate
-    return TwistTolerances(
-        fma(pose.position / length, speed, length * rounding),
-        fma(START_TOLERANCE, speed / length, rounding),
-    )
+    velocity = fma(pose.position / length, speed, length * rounding)
+    return velocity, fma(START_TOLERANCE, speed / length, rounding)
 
 
 def bearings(rows: Rows, q: Mat) -> list[Number]:

@@ -104,15 +104,8 @@ class Trial(NamedTuple):
     is_cut: Any
 
 
-class Verdict(NamedTuple):
-    """The verdict is the outcome of a step.
-
-    accepted : 1 where it is accepted.   failed : status, OK if none.
-    """
-
-    accepted: Any
-    failed: Any
-    clock: LaneClock
+# Outcome of a step: 1 where it is accepted; its status, OK if it does not fail; the clock after it.
+Verdict = tuple[Any, Any, LaneClock]
 
 
 def first_clock(
@@ -241,7 +234,7 @@ def judged(
         t=trial.end, h=within(longer, limits), before=by.level, steps=steps + 1.0
     )
 
-    def some_refused() -> tuple[Any, Any, LaneClock]:
+    def some_refused() -> Verdict:
         refused = running & ~meets & ~raised
         least = maximum(limits.dt_min, LEAST_ULPS * EPS * absolute(clock.t))
         too_small = refused & (trial.h <= least)
@@ -258,10 +251,7 @@ def judged(
         return where(accepted, 1.0, 0.0 * steps), failed, where(accepted, taken, again)
 
     zero = 0.0 * steps
-    outcome: tuple[Any, Any, LaneClock] = branch(
-        all_lanes(accepted), lambda: (zero + 1.0, zero + float(OK), taken), some_refused
-    )
-    return Verdict(*outcome)
+    return branch(all_lanes(accepted), lambda: (zero + 1.0, zero + float(OK), taken), some_refused)
 
 
 def _fixed(
@@ -279,7 +269,7 @@ def _fixed(
         counted=where(cut, 0.0, where(accepted, clock.counted + 1.0, clock.counted)),
     )
     failed = where(raised, float(RAISED), failed)
-    return Verdict(where(accepted, 1.0, 0.0 * steps), failed, moved)
+    return where(accepted, 1.0, 0.0 * steps), failed, moved
 
 
 def to_tidy(clock: LaneClock, fresh: Any, termination: Any) -> Any:
