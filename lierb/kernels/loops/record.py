@@ -11,7 +11,6 @@ from lierb.kernels.numbers.arithmetic import (
     branch,
     flatten,
     load,
-    maximum,
     plain,
     real,
     sqrt,
@@ -19,7 +18,7 @@ from lierb.kernels.numbers.arithmetic import (
     where,
 )
 from lierb.kernels.numbers.dual import values
-from lierb.kernels.numbers.zero import ZERO, is_zero
+from lierb.kernels.numbers.zero import ZERO
 from lierb.kernels.stepping.lane_clock import LaneClock
 from lierb.kernels.systems.combine import NAN
 from lierb.kernels.systems.derivatives import (
@@ -38,6 +37,7 @@ from lierb.kernels.systems.measures import (
     MUST_BE_FINITE,
     SUMMARY,
     Measure,
+    retained,
 )
 from lierb.kernels.systems.observables import (
     KEEPS,
@@ -331,37 +331,19 @@ def measure(
         return where(fine, so_far, fresh)
 
     status, failed_step = branch(all_lanes(fine), lambda: so_far, failed)
-    kept = []
-    for (measure, how), old in zip(KEPT, record.kept, strict=True):
-        size = sizes[measure.name]
-        if how == "final":
-            kept.append(where(alive, plain(now[measure.name]), NAN))
-        else:
-            kept.append(old if is_zero(size) else where(alive, maximum(old, size), old))
+    kept = tuple(
+        retained(how, old, now[measure.name], sizes[measure.name], alive)
+        for (measure, how), old in zip(KEPT, record.kept, strict=True)
+    )
     shown = tuple(measure.shown(now[measure.name]) for measure in history_measures(plan))
     errors = tuple(sqrt(square) for joint in joints for square in joint)
-    measured = record._replace(
-        kept=tuple(kept),
-        status=status,
-        failed_step=failed_step,
-        joints=_joints_kept(record, joints, alive),
+    squares = ((how, joint[JOINT_ERRORS.index(m)]) for joint in joints for m, how in JOINT_KEPT)
+    of_joints = tuple(
+        retained(how, old, square, square, alive)
+        for (how, square), old in zip(squares, record.joints, strict=True)
     )
+    measured = record._replace(kept=kept, status=status, failed_step=failed_step, joints=of_joints)
     return shown, errors, measured
-
-
-def _joints_kept(
-    record: Record, joints: tuple[tuple[Any, ...], ...], alive: Any
-) -> tuple[Any, ...]:
-    """Return JOINT_KEPT of every joint, updated with the squares of its errors."""
-    kept = []
-    places = ((joint, measure, how) for joint in joints for measure, how in JOINT_KEPT)
-    for (joint, measure, how), old in zip(places, record.joints, strict=True):
-        square = joint[JOINT_ERRORS.index(measure)]
-        if how == "final":
-            kept.append(where(alive, plain(square), NAN))
-        else:
-            kept.append(old if is_zero(square) else where(alive, maximum(old, square), old))
-    return tuple(kept)
 
 
 def without_measures(plan: AnyPlan, record: Record, seen: Record) -> Record:

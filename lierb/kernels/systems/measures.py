@@ -16,9 +16,9 @@ from lierb.kernels.mechanics.constraints import (
 )
 from lierb.kernels.mechanics.elements import potential_energy
 from lierb.kernels.mechanics.newton_euler import BodyConstants, Kinematics, Pose
-from lierb.kernels.numbers.arithmetic import absolute, fma, sqrt
+from lierb.kernels.numbers.arithmetic import absolute, fma, maximum, plain, sqrt, where
 from lierb.kernels.numbers.vec import IDENTITY, Mat, Vec, mat_t_mat
-from lierb.kernels.numbers.zero import ZERO
+from lierb.kernels.numbers.zero import ZERO, is_zero
 from lierb.kernels.systems.layout import Columns, Field
 from lierb.kernels.systems.plan import Plan
 
@@ -112,6 +112,17 @@ SUMMARY = Columns(
     Field("starts"),  # 1 where the start is on the joint, and 0 elsewhere
 )
 MUST_BE_FINITE = tuple(m.name for m in MEASURES if m.is_square or m.name == "energy_drift")
+
+
+def retained(how: str, old: Any, value: Any, size: Any, alive: Any) -> Any:
+    """Return what a summary keeps of a measure after one more value.
+
+    how : one of `Measure.keeps`.   size : `Measure.size` of the value.
+    alive : mask of trajectories that have not failed.
+    """
+    if how == "final":
+        return where(alive, plain(value), float("nan"))
+    return old if is_zero(size) else where(alive, maximum(old, size), old)
 
 
 def measured(

@@ -6,11 +6,16 @@ from typing import Any
 
 from lierb.kernels.mechanics import tree_nodes
 from lierb.kernels.mechanics.tree_nodes import JointKind
-from lierb.kernels.numbers.arithmetic import maximum, plain, where
+from lierb.kernels.numbers.arithmetic import maximum, where
 from lierb.kernels.numbers.zero import ZERO, is_zero
 from lierb.kernels.systems import tree_places as at
-from lierb.kernels.systems.combine import NAN
-from lierb.kernels.systems.measures import JOINT_ERRORS, JOINT_KEPT, Observed, orthogonality_squared
+from lierb.kernels.systems.measures import (
+    JOINT_ERRORS,
+    JOINT_KEPT,
+    Observed,
+    orthogonality_squared,
+    retained,
+)
 from lierb.kernels.systems.plan import ConstraintKind, ElementKind
 from lierb.kernels.systems.state import State
 from lierb.kernels.systems.tree_loop_motion import LoopMotion
@@ -126,12 +131,7 @@ class LoopMeasures(LoopProjection):
             errors = tree.of_link(at.ERRORS_ROW, link, len(JOINT_ERRORS))
             kept = tree.of_link(at.KEPT_ROW, link, len(JOINT_KEPT))
             for row, (measure, how) in enumerate(JOINT_KEPT):
-                square = errors[JOINT_ERRORS.index(measure)]
-                old = kept[row]
-                if how == "final":
-                    new = where(alive, plain(square), NAN)
-                else:
-                    new = where(alive, maximum(old, square), old)
-                kept.put(row, where(now, new, old))
+                square, old = errors[JOINT_ERRORS.index(measure)], kept[row]
+                kept.put(row, where(now, retained(how, old, square, square, alive), old))
 
         for_each(tree[at.JOINTS], one)
