@@ -85,12 +85,25 @@ def rotation_error_squared(rows: Rows, x: Kinematics, body: HeldBody) -> Number:
     return total
 
 
+def rate_errors(rows: Rows, x: Kinematics, body: HeldBody, velocity: Vec) -> list[Number]:
+    """J V − prescribed rate of every row."""
+    return [dot(r.jacobian(x, body), velocity) - r.prescribed_rate(x, body) for r in rows]
+
+
 def rate_errors_squared(
     rows: Rows, x: Kinematics, body: HeldBody, velocity: Vec
 ) -> tuple[Number, Number]:
     """Sums of the squares of J V − prescribed rate, over translational and rotational rows."""
-    rates = [dot(r.jacobian(x, body), velocity) - r.prescribed_rate(x, body) for r in rows]
-    return squares_by_kind(rows, rates)
+    return squares_by_kind(rows, rate_errors(rows, x, body, velocity))
+
+
+def errors_squared(
+    rows: Rows, x: Kinematics, body: HeldBody, rates: list[Number]
+) -> tuple[Number, ...]:
+    """Squares of the errors of position, rotation and their rates; `rates` are `rate_errors`."""
+    of_rates = squares_by_kind(rows, rates)
+    position = position_error_squared(rows, x, body)
+    return position, rotation_error_squared(rows, x, body), *of_rates
 
 
 def squares_by_kind(rows: Rows, numbers: list[Number]) -> tuple[Number, Number]:

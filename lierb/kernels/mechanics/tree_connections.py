@@ -20,12 +20,7 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 from lierb.kernels.groups import se3
-from lierb.kernels.mechanics.constraints import (
-    position_error_squared,
-    residuals,
-    rotation_error_squared,
-    squares_by_kind,
-)
+from lierb.kernels.mechanics.constraints import errors_squared, residuals
 from lierb.kernels.mechanics.newton_euler import Kinematics, Motion
 from lierb.kernels.mechanics.rows import Row, Rows
 from lierb.kernels.mechanics.spatial import Pose, wrench_from
@@ -150,10 +145,8 @@ class Connected:
     @cached_property
     def errors_squared(self) -> tuple[Any, ...]:
         """Squares of `measures.JOINT_ERRORS`."""
-        pair = self.x, self.ends
-        rates = squares_by_kind(self.rows, [self.rate_error(r) for r in self.rows])
-        position = position_error_squared(self.rows, *pair)
-        return position, rotation_error_squared(self.rows, *pair), *rates
+        rates = [self.rate_error(r) for r in self.rows]
+        return errors_squared(self.rows, self.x, self.ends, rates)
 
     def rate_error(self, r: Row) -> Any:
         """J V less the prescribed rate."""

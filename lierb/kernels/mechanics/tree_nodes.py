@@ -21,12 +21,7 @@ from typing import Any, NamedTuple
 
 from lierb.kernels.groups import quaternion, se3, turns
 from lierb.kernels.groups.quaternion import Chart
-from lierb.kernels.mechanics import subgroup
-from lierb.kernels.mechanics.constraints import (
-    position_error_squared,
-    rate_errors_squared,
-    rotation_error_squared,
-)
+from lierb.kernels.mechanics import constraints, subgroup
 from lierb.kernels.mechanics.newton_euler import Kinematics
 from lierb.kernels.mechanics.rows import FIXED, PITCHED, Rows, Screw
 from lierb.kernels.mechanics.spatial import (
@@ -384,10 +379,8 @@ def kinematics(d: Pose, moving: Vec) -> Kinematics:
 
 def errors_squared(rows: Rows, d: Pose, moving: Vec, pitch: Any) -> tuple[Any, ...]:
     """Squares of `measures.JOINT_ERRORS` of a joint, from D and V_rel of its motion."""
-    x, ends = kinematics(d, moving), Ends(HERE, HERE, pitch)
-    rates = rate_errors_squared(rows, x, ends, moving)
-    position = position_error_squared(rows, x, ends)
-    return position, rotation_error_squared(rows, x, ends), *rates
+    at = kinematics(d, moving), Ends(HERE, HERE, pitch)
+    return constraints.errors_squared(rows, *at, constraints.rate_errors(rows, *at, moving))
 
 
 def in_user_frame(details: Any, here: Any) -> Vec:

@@ -6,11 +6,7 @@ from collections.abc import Callable
 from typing import Any
 
 from lierb.kernels.groups import se3
-from lierb.kernels.mechanics.constraints import (
-    position_error_squared,
-    rotation_error_squared,
-    squares_by_kind,
-)
+from lierb.kernels.mechanics.constraints import errors_squared
 from lierb.kernels.mechanics.ground_motion import GroundMotion
 from lierb.kernels.mechanics.newton_euler import Motion
 from lierb.kernels.mechanics.tree import Connection, TreeConstants, TreeMotion
@@ -65,10 +61,8 @@ class TreeMeasures(TreeAccelerations):
             if number >= len(plan.joints) and not connection.rows:
                 continue
             x, ends, rows = relatives[number].x, body.ends[number], connection.rows
-            off = [relatives.rate_error(number, r) for r in rows]
-            rates = squares_by_kind(rows, off)
-            position = position_error_squared(rows, x, ends)
-            errors.append((position, rotation_error_squared(rows, x, ends), *rates))
+            rates = [relatives.rate_error(number, r) for r in rows]
+            errors.append(errors_squared(rows, x, ends, rates))
         energy = self._energy(body, relatives)
         names = (measure.name for measure in JOINT_ERRORS)
         values = dict(zip(names, map(largest, zip(*errors, strict=True)), strict=True))
