@@ -329,12 +329,8 @@ def assumptions(number: Number) -> Iterator[list[Mask]]:
     the formula without assumptions.   number : as in `rounded_as_numpy`.
     """
     masks: list[Any] = []
-    trace = class_of(type(number)).trace_of(number)
-    if trace is not None:
-        trace.assumed = masks
-    yield masks
-    if trace is not None:
-        trace.assumed = None
+    with _setting(number, "assumed", masks):
+        yield masks
 
 
 def taken_for_granted(mask: Mask) -> bool:
