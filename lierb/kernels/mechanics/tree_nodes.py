@@ -206,15 +206,14 @@ def place(kind: Kind, constants: Any, chart: Any, x: Any, v: Any, above: Any, he
     x, v : rows of X/2 and V_rel.
     """
     pitch, group = kind.pitch(constants), kind.charts
-    hang = constants[HANG : HANG + 9], constants[POINT : POINT + 3]
+    hang = hang_of(constants)
     moving, half = kind.lifted(v, pitch), kind.lifted(x, pitch)
     before, outer = above[TURN : TURN + 9], above[OMEGA : OMEGA + 3]
     alpha, a = above[START : START + 3], above[START + 3 : START + 6]
 
     angles = quaternion.angle_coefficients(half)
     chart_now = group.compose_exp(kind.load_chart(chart), half, angles)
-    d = (turns if group is turns else quaternion).pose(chart_now)
-    turn, arm = se3.compose(se3.compose((before, ZERO3), hang), d)
+    turn, arm = se3.compose(se3.compose((before, ZERO3), hang), group.pose(chart_now))
     spin, slide = moving[:3], moving[3:]
     own, along = mat_vec(turn, spin), mat_vec(turn, slide)
     omega = add(outer, own)
@@ -368,8 +367,7 @@ def energy(constants: Any, details: Any, here: Any, gravity: Vec) -> Any:
 
 def on_joint(kind: Kind, constants: Any, chart: Any, v: Any) -> tuple[Pose, Vec]:
     """D of a node and V_rel.   chart, v : rows of its chart and velocity."""
-    shapes = turns if kind.charts is turns else quaternion
-    return shapes.pose(kind.load_chart(chart)), kind.lifted(v, kind.pitch(constants))
+    return kind.charts.pose(kind.load_chart(chart)), kind.lifted(v, kind.pitch(constants))
 
 
 def kinematics(d: Pose, moving: Vec) -> Kinematics:
