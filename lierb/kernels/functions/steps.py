@@ -78,14 +78,14 @@ def _of_two(
     return function
 
 
-def _exact_quotient(x: Any, y: Any, q: Callable[[Any], Any], name: str) -> Any:
-    """Compute x − q(x/y) y of lanes, by the C library if q(x/y) is inexact."""
+def _rest(x: Any, y: Any) -> Any:
+    """Compute x − ⌊x/y⌋ y of lanes, by the C library if ⌊x/y⌋ is inexact."""
     quotient = plain(x) / plain(y)
     fits = (absolute(quotient) < WHOLE) & (absolute(y) < math.inf)
     return branch(
         all_lanes(fits),
-        lambda: fma(-q(quotient), y, x),
-        lambda: select(fits, fma(-q(quotient), y, x), lane_by_lane.call_library(name, x, y)),
+        lambda: fma(-whole(quotient), y, x),
+        lambda: select(fits, fma(-whole(quotient), y, x), lane_by_lane.call_library("fmod", x, y)),
     )
 
 
@@ -93,7 +93,7 @@ def _remainder(x: Any, y: Any) -> Any:
     if not (isinstance(x, Lane) or isinstance(y, Lane)):
         return np.remainder(plain(x), plain(y))
     # Rounding may raise the quotient to a whole number; the remainder is then too small by y.
-    rest = _exact_quotient(x, y, whole, "fmod")
+    rest = _rest(x, y)
     other_side = ((rest < 0.0) & (y > 0.0)) | ((rest > 0.0) & (y < 0.0))
     rest = select(other_side, rest + y, rest)
     return select(rest == 0.0, copysign_of(0.0, y), rest)
@@ -103,7 +103,7 @@ def _fmod(x: Any, y: Any) -> Any:
     if not (isinstance(x, Lane) or isinstance(y, Lane)):
         return np.fmod(plain(x), plain(y))
     size, step = absolute(x), absolute(y)
-    rest = _exact_quotient(size, step, whole, "fmod")
+    rest = _rest(size, step)
     return copysign_of(select(rest < 0.0, rest + step, rest), x)
 
 

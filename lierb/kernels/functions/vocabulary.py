@@ -20,7 +20,7 @@ from lierb.kernels.functions.references import UnfitFunctionError
 from lierb.kernels.functions.user_number import UserNumber, choice, raw, value_of, where
 from lierb.kernels.groups import so3
 from lierb.kernels.numbers.arithmetic import plain
-from lierb.kernels.numbers.dual import parts_of
+from lierb.kernels.numbers.dual import side_by_side
 from lierb.kernels.numbers.vec import Mat, Vec, cross, dot, mat_t_mat, norm, scale
 from lierb.kernels.tracing.trace import kernel
 
@@ -192,7 +192,7 @@ def unit_quaternion(r: Mat) -> Vec:
     q = unit_quaternion(values)
     if not _has_parts(r):
         return tuple(map(UserNumber, q))
-    rates = [_rate(q, values, rate) for rate in _along_each(r)]
+    rates = [_rate(q, values, tuple(map(plain, rate))) for rate in side_by_side(*r)]
     return tuple(UserNumber(x, parts) for x, parts in zip(q, zip(*rates, strict=True), strict=True))
 
 
@@ -232,13 +232,6 @@ def rotation_vector(r: Mat) -> Vec:
 
 def _has_parts(members: Sequence[Any]) -> bool:
     return any(isinstance(x, UserNumber) and x.parts for x in members)
-
-
-def _along_each(members: Sequence[Any]) -> list[Vec]:
-    """Return the derivatives of several numbers, as a list over the directions."""
-    count = max(len(parts_of(x)) for x in members)
-    parts = [parts_of(x) or (0.0,) * count for x in members]
-    return [tuple(map(plain, direction)) for direction in zip(*parts, strict=True)]
 
 
 def _values(r: Mat) -> Mat:

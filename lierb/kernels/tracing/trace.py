@@ -69,7 +69,7 @@ def kernel(formula: Callable[..., Any], numbers_only: bool = False) -> Callable[
         def generic(self, args: tuple[types.Type, ...], kws: Any) -> Any:
             args = tuple(_floating(a) if numbers_only else types.unliteral(a) for a in args)
             if args not in seen:
-                seen[args] = _result_type(evaluated, args)
+                seen[args] = _type_of_trace(_traced_alone(evaluated, args)[0])
             return signature(seen[args], *args)
 
     def lower(context: Any, builder: ir.IRBuilder, sig: Any, values: Any) -> Any:
@@ -102,11 +102,6 @@ def _as_numbers(operands: Any, result: Any) -> Any:
         return result
     like = next(x for x in flatten(operands) if isinstance(x, Lane))
     return like.constant(0.0 if is_zero(result) else result)
-
-
-def _result_type(formula: Callable[..., Any], args: tuple[types.Type, ...]) -> types.Type:
-    """Return the type of formula(*args), determined by a trace that is thrown away."""
-    return _type_of_trace(_traced_alone(formula, args)[0])
 
 
 def _traced_alone(formula: Callable[..., Any], args: tuple[types.Type, ...]) -> tuple[Any, Any]:
