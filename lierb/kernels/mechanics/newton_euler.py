@@ -20,7 +20,7 @@ from types import ModuleType
 from typing import Any, NamedTuple
 
 from lierb.kernels.functions.signals import NO_SIGNALS, Signals
-from lierb.kernels.groups import ambient, ambientxr3, quaternion, quaternionxr3, se3, so3xr3
+from lierb.kernels.groups import ambient, ambientxr3, quaternion, quaternionxr3, se3
 from lierb.kernels.numbers.arithmetic import fma, where
 from lierb.kernels.numbers.dual import Dual, parts_of, values
 from lierb.kernels.numbers.number import Number
@@ -371,7 +371,6 @@ def _potential_energy(body: BodyConstants, com: Vec) -> Number:
 class SE3:
     """Velocity (ω, v), both in body axes; v is that of the body frame's origin."""
 
-    group: ModuleType = se3
     charts: ModuleType = quaternion  # the group's formulas that a step evaluates
     ambient: ModuleType = ambient  # those of an ambient update
 
@@ -426,7 +425,6 @@ class SE3:
 class SO3xR3:
     """The velocity is mixed, (ω, ṙ): ω in body axes, ṙ in the ground's; body frame at the COM."""
 
-    group: ModuleType = so3xr3
     charts: ModuleType = quaternionxr3
     ambient: ModuleType = ambientxr3
 
