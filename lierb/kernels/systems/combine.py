@@ -58,6 +58,9 @@ class StateArithmetic(PassiveElements):
         chart, x = self.recharted(state.chart, state.x)
         return state._replace(chart=chart, x=x)
 
+    def velocity(self, body: Any, v_or_mu: Vec) -> Vec:
+        return v_or_mu
+
     def silenced(self, body: Any, v_or_mu: Vec, alive: Any) -> Vec:
         return tuple(x if is_zero(x) else where(alive, x, NAN) for x in v_or_mu)
 

@@ -207,9 +207,6 @@ class OneBody(StateArithmetic):
         """Return the chart moved by a step.   x : X/2 or Y."""
         return self.increment(x).moved(chart)
 
-    def velocity(self, body: BodyConstants, v_or_mu: Vec) -> Vec:
-        return v_or_mu
-
     def in_algebra(self, body: BodyConstants, x: Vec) -> Vec:
         return x
 

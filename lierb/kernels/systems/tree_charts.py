@@ -82,10 +82,6 @@ class TreeCharts(StateArithmetic):
     def chart_gravity(self, body: TreeConstants, chart: Charts) -> None:
         """Return None: gravity enters at the nodes on the ground."""
 
-    def velocity(self, body: TreeConstants, v_or_mu: Vec) -> Vec:
-        """Return the concatenated twists of the nodes unchanged."""
-        return v_or_mu
-
     def angular_speeds_squared(self, body: TreeConstants, state: State) -> list[Any]:
         """Return ‖ω‖² of each node, on its joint if reduced, rad²/s²."""
         return [dot(v[:3], v[:3]) for v in sixes(state.v_or_mu)]
