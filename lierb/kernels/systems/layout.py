@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from functools import lru_cache
-from itertools import accumulate, pairwise
+from itertools import accumulate
 from math import prod
 from typing import Any, NamedTuple
 
@@ -47,9 +47,7 @@ class Columns:
         self.fields = fields
         self.count = ends[-1]
         self._named = {field.name: field for field in fields}
-        self._slices = dict(
-            zip((f.name for f in fields), (slice(*e) for e in pairwise(ends)), strict=True)
-        )
+        self._slices = dict(zip(self._named, map(slice, ends, ends[1:]), strict=True))
 
     def __getitem__(self, name: str) -> slice:
         return self._slices[name]
