@@ -9,15 +9,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-from lierb.kernels.mechanics.constraints import (
-    position_error_squared,
-    rate_errors_squared,
-    rotation_error_squared,
-)
-from lierb.kernels.mechanics.elements import potential_energy
+from lierb.kernels.mechanics.constraints import position_error_squared, rotation_error_squared
 from lierb.kernels.mechanics.newton_euler import BodyConstants, Kinematics, Pose
 from lierb.kernels.numbers.arithmetic import absolute, fma, maximum, plain, sqrt, where
-from lierb.kernels.numbers.vec import IDENTITY, Mat, Vec, mat_t_mat
+from lierb.kernels.numbers.vec import IDENTITY, Mat, mat_t_mat
 from lierb.kernels.numbers.zero import ZERO, is_zero
 from lierb.kernels.systems.layout import Columns, Field
 from lierb.kernels.systems.plan import Plan
@@ -123,26 +118,3 @@ def retained(how: str, old: Any, value: Any, size: Any, alive: Any) -> Any:
     if how == "final":
         return where(alive, plain(value), float("nan"))
     return old if is_zero(size) else where(alive, maximum(old, size), old)
-
-
-def measured(
-    plan: Plan,
-    body: BodyConstants,
-    pose: Pose,
-    velocity: Vec,
-    kinetic_energy: Any,
-    work: Any,
-    time: Any,
-    first_energy: Any = ZERO,
-) -> dict[str, Any]:
-    """Return every measure's value or square, by name."""
-    x = plan.space.kinematics(body, pose, velocity)._replace(time=time)
-    potential = plan.space.potential_energy(body, pose)
-    if plan.elements:
-        timeless = x._replace(time=ZERO).motion  # no potential depends on time
-        timeless = timeless._replace(signals=body.signals)
-        potential = potential + potential_energy(plan.elements, body, timeless)
-    energy = kinetic_energy + potential
-    rates = rate_errors_squared(plan.rows, x, body, velocity)
-    sample = Sample(plan, body, pose, x, rates, energy, first_energy, work)
-    return {measure.name: measure.of(sample) for measure in MEASURES}

@@ -22,6 +22,7 @@ from lierb.kernels.mechanics.constraints import (
     rate_errors_squared,
     rotation_error_squared,
 )
+from lierb.kernels.mechanics.elements import potential_energy
 from lierb.kernels.mechanics.ground_motion import GroundMotion
 from lierb.kernels.mechanics.newton_euler import (
     BodyConstants,
@@ -47,7 +48,7 @@ from lierb.kernels.systems.body_inputs import (
 )
 from lierb.kernels.systems.combine import NAN, StateArithmetic
 from lierb.kernels.systems.layout import INPUTS, STATE, Columns, Field, inputs_of
-from lierb.kernels.systems.measures import Observed, measured
+from lierb.kernels.systems.measures import MEASURES, Observed, Sample
 from lierb.kernels.systems.plan import Plan
 from lierb.kernels.systems.signals import lane_end, states_of
 from lierb.kernels.systems.state import Stabilised, State
@@ -303,12 +304,18 @@ class OneBody(StateArithmetic):
         time: Any,
         first_energy: Any = ZERO,
     ) -> Observed:
-        kinetic_energy = self.kinetic_energy(body, state.v_or_mu)
-        values = measured(
-            self.plan, body, motion.pose, motion.velocity, kinetic_energy, state.work, time,
-            first_energy,
-        )  # fmt: skip
-        return Observed(values)
+        plan, (pose, velocity) = self.plan, motion
+        kinetic = self.kinetic_energy(body, state.v_or_mu)
+        x = plan.space.kinematics(body, pose, velocity)._replace(time=time)
+        potential = plan.space.potential_energy(body, pose)
+        if plan.elements:
+            timeless = x._replace(time=ZERO).motion  # no potential depends on time
+            timeless = timeless._replace(signals=body.signals)
+            potential = potential + potential_energy(plan.elements, body, timeless)
+        energy = kinetic + potential
+        rates = rate_errors_squared(plan.rows, x, body, velocity)
+        sample = Sample(plan, body, pose, x, rates, energy, first_energy, state.work)
+        return Observed({measure.name: measure.of(sample) for measure in MEASURES})
 
     def in_user_frames(self, body: BodyConstants, numbers: list[Any], state: State) -> list[Vec]:
         parameters, _, _ = parameters_of(numbers, body.turn, body.shift)
