@@ -181,15 +181,18 @@ class Element:
         return ()
 
 
-def all_placed(
-    elements: tuple[Element, ...], numbers: list[Any], frames: Frames, parameters: Parameters
-) -> tuple[Any, ...]:
-    """Parameters of every element in joint axes, from the numbers of their input columns.
+def body_with(
+    space: type[SE3] | type[SO3xR3],
+    parameters: Parameters,
+    elements: tuple[Element, ...],
+    numbers: list[Any],
+) -> BodyConstants:
+    """Constants of the body in a c-space, with its elements' parameters from `numbers`.
 
     For an element that takes the body, they include the body parameters named in
     `lierb.kernels.functions.function.BODY`.
     """
-    rest = iter(numbers)
+    rest, frames = iter(numbers), frames_of(parameters)
     placed = []
     for element in elements:
         given = {
@@ -200,18 +203,7 @@ def all_placed(
             seen = parameters.mass, inertia_about_com(parameters), parameters.com
             given |= {f"body.{name}": x for (name, _), x in zip(BODY, seen, strict=True)}
         placed.append(element.placed(given, frames))
-    return tuple(placed)
-
-
-def body_with(
-    space: type[SE3] | type[SO3xR3],
-    parameters: Parameters,
-    elements: tuple[Element, ...],
-    numbers: list[Any],
-) -> BodyConstants:
-    """Constants of the body in a c-space, with its elements' parameters from `numbers`."""
-    placed = all_placed(elements, numbers, frames_of(parameters), parameters)
-    return space.body(parameters)._replace(elements=placed)
+    return space.body(parameters)._replace(elements=tuple(placed))
 
 
 class Applied(NamedTuple):
