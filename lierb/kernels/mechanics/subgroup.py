@@ -18,7 +18,7 @@ from lierb.kernels.mechanics.newton_euler import BodyConstants
 from lierb.kernels.mechanics.rows import FIXED, PITCHED, Rows
 from lierb.kernels.numbers.arithmetic import fma
 from lierb.kernels.numbers.number import Number
-from lierb.kernels.numbers.vec import Vec, add, dot
+from lierb.kernels.numbers.vec import Vec, add, dot, units
 from lierb.kernels.numbers.zero import ZERO
 
 Slots = tuple[int, ...]
@@ -70,13 +70,9 @@ def projected(slots: Slots, wrench: Vec, pitch: Number) -> Vec:
 
 def reduced_inertia(slots: Slots, body: BodyConstants) -> list[list[Number]]:
     """Return Nᵀ M N, from the momenta M N e_j."""
-    count = max(slots) + 1
-    columns = []
-    for j in range(count):
-        unit = tuple(1.0 if i == j else ZERO for i in range(count))
-        momentum = momentum_of(slots, body, lifted(slots, unit, body.pitch))
-        columns.append(coordinates(slots, momentum))
-    return [[columns[j][i] for j in range(count)] for i in range(count)]
+    velocities = (lifted(slots, unit, body.pitch) for unit in units(max(slots) + 1))
+    columns = (coordinates(slots, momentum_of(slots, body, v)) for v in velocities)
+    return [list(row) for row in zip(*columns, strict=True)]
 
 
 def inverse(matrix: list[list[Number]]) -> Vec:

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 from lierb.kernels.numbers.arithmetic import absolute, repeat, where
 from lierb.kernels.numbers.dual import Dual, lifted, parts_of, values
 from lierb.kernels.numbers.elimination import Factored
-from lierb.kernels.numbers.vec import Vec, sub
+from lierb.kernels.numbers.vec import Vec, sub, units
 from lierb.kernels.numbers.zero import ZERO
 
 MOST_TURNS = 50
@@ -46,8 +46,7 @@ def linearised(residual: Residual, at: Vec, left_out: Vec = ()) -> tuple[Vec, Fa
     The residual has derivatives where the equations do.   left_out : as for `Factored`.
     """
     n = len(at)
-    units = (tuple(1.0 if i == j else ZERO for j in range(n)) for i in range(n))
-    found = residual(tuple(map(Dual, at, units)))
+    found = residual(tuple(map(Dual, at, units(n))))
     rows = [list(values(parts_of(value)) or (ZERO,) * n) for value in found]
     return values(found), Factored(rows, left_out)
 

@@ -22,6 +22,11 @@ IDENTITY: Mat = UNIT[0] + UNIT[1] + UNIT[2]
 JACOBI_SWEEPS = 4  # off-diagonal entries fall to 3e-25, to 1e-6 after three
 
 
+def units(n: int) -> tuple[Vec, ...]:
+    """Return the columns of the identity."""
+    return tuple(tuple(1.0 if i == j else ZERO for i in range(n)) for j in range(n))
+
+
 def add(a: Vec, b: Vec) -> Vec:
     return tuple(x + y for x, y in zip(a, b, strict=True))
 

@@ -23,7 +23,7 @@ from lierb.kernels.mechanics import subgroup
 from lierb.kernels.mechanics.elements import Applied, applied_to
 from lierb.kernels.numbers.arithmetic import fma, maximum
 from lierb.kernels.numbers.newton import newton
-from lierb.kernels.numbers.vec import ZERO6, Vec, add, axpy, dot, scale, sub
+from lierb.kernels.numbers.vec import ZERO6, Vec, add, axpy, dot, scale, sub, units
 from lierb.kernels.numbers.zero import ZERO
 from lierb.kernels.stepping.method import Interval, Step
 from lierb.kernels.stepping.unestimated import UnestimatedMethod, ended
@@ -110,7 +110,5 @@ def _pulled(system: Subgroup, body: Any, nu: Vec, h: Any) -> Vec:
     momentum = body.momentum(velocity)
     half = scale(0.5 * h, velocity)
     k = quaternion.angle_coefficients(half)
-    n = len(nu)
-    units = (tuple(1.0 if i == j else ZERO for i in range(n)) for j in range(n))
-    axes = (subgroup.lifted(system.slots, unit, body.pitch) for unit in units)
+    axes = (subgroup.lifted(system.slots, unit, body.pitch) for unit in units(len(nu)))
     return tuple(dot(quaternion.dexpinv(half, axis, k), momentum) for axis in axes)

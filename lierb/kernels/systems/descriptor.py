@@ -37,6 +37,7 @@ from lierb.kernels.numbers.vec import (
     mat_vec,
     norm,
     scale,
+    units,
 )
 from lierb.kernels.numbers.zero import ZERO, is_zero
 from lierb.kernels.systems.acceleration import accelerate
@@ -239,11 +240,6 @@ def _over(mass: Mat, rows: Sequence[Vec]) -> tuple[Vec, ...]:
     """Return M⁻¹ times each row."""
     factored = Factored([list(column) for column in mass])
     return tuple(map(factored.solve, rows))
-
-
-def units(n: int) -> Mat:
-    """Return the columns of the identity."""
-    return tuple(tuple(1.0 if i == j else ZERO for i in range(n)) for j in range(n))
 
 
 def spun(velocity: Vec, momentum: Vec, is_mixed: bool) -> Vec:
