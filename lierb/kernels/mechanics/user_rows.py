@@ -97,19 +97,11 @@ class UserRow(AddedRow):
 
 
 @dataclass(frozen=True)
-class UserVelocityConstraint(Element):
+class UserVelocityConstraint(UserConstraint):
     """User's constraint g(R, r, ω, v) = 0, linear in ω and v."""
-
-    does_work: ClassVar = False
-    function: Function
-    rows: int = 1
-    is_translational: bool = True
 
     def row(self, place: int, i: int) -> AddedRow:
         return UserVelocityRow(self, place, i)
-
-    def placed(self, given: dict[str, Any], frames: Frames) -> tuple[Any, ...]:
-        return UserFrame.of(frames), tuple(given.values())
 
 
 class UserVelocityRow(UserRow):
