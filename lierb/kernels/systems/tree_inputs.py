@@ -222,6 +222,20 @@ def placed_on(
 # ---- starts ------------------------------------------------------------------------------------
 
 
+class CheckedStarts:
+    """Starts of a mechanism, which `Mechanism.violation` examines before they are packed."""
+
+    def placed(self, body: Any, numbers: list[Any]) -> tuple[()]:
+        """Return an empty tuple: starts of links depend on twists and poses together."""
+        return ()
+
+    def pose_check(self, numbers: list[Any], time: Any) -> tuple[()]:
+        return ()
+
+    def is_on_joint(self, check: tuple[()], numbers: list[Any], time: Any) -> Any:
+        return 1.0
+
+
 def given_start(frame: Pose, read: dict[str, Vec], link: int) -> tuple[Pose, Vec]:
     """Pose of a node in the ground frame, and its twist.   frame : its frame in the user's."""
     pose = se3.compose(pose_of(read[f"{link}.pose"]), frame)

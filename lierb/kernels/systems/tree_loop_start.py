@@ -30,6 +30,7 @@ from lierb.kernels.systems.tree_inputs import (
     JOINT,
     LINK,
     START,
+    CheckedStarts,
     chart_of,
     factored,
     given_start,
@@ -54,18 +55,8 @@ WIDTHS = tuple(Columns(*fields).count for fields in (LINK, JOINT, START))
 _PAIR = (Node(GROUND, 1, "reduced", FREE, ()), Node(0, 0, "reduced", FREE, ()))
 
 
-class LoopStart(TreeInMemory):
+class LoopStart(TreeInMemory, CheckedStarts):
     """Constants, starts and states in memory."""
-
-    def placed(self, body: LoopBody, numbers: list[Any]) -> tuple[()]:
-        return ()
-
-    def pose_check(self, numbers: list[Any], time: Any) -> tuple[()]:
-        return ()
-
-    def is_on_joint(self, check: tuple[()], numbers: list[Any], time: Any) -> Any:
-        """Return 1: `Mechanism.violation` examines starts before they are packed."""
-        return 1.0
 
     def state_of(self, numbers: Sequence[Any], body: LoopBody | None = None) -> State:
         v, work, *states = numbers

@@ -17,6 +17,7 @@ from lierb.kernels.systems.signals import lane_end
 from lierb.kernels.systems.stabilisation import Projection
 from lierb.kernels.systems.state import State
 from lierb.kernels.systems.tree_inputs import (
+    CheckedStarts,
     apart,
     chart_of,
     factored,
@@ -33,7 +34,7 @@ from lierb.kernels.systems.tree_measures import TreeMeasures
 SMALL_ANGLE_STAGES = 8  # largest nodes × stages; with more, compilation takes long
 
 
-class TreeFormulation(Projection, TreeMeasures):
+class TreeFormulation(Projection, TreeMeasures, CheckedStarts):
     """This is the system of a mechanism; see `lierb.kernels.systems.system.System`."""
 
     invariant = ()
@@ -77,10 +78,6 @@ class TreeFormulation(Projection, TreeMeasures):
             girth=girth_of(*((n.rigid.mass, n.inertia) for n in nodes)),
         )
 
-    def placed(self, body: TreeConstants, numbers: list[Any]) -> tuple[()]:
-        """Return an empty tuple: starts of links depend on twists and poses together."""
-        return ()
-
     def start(self, body: TreeConstants, placed: tuple[()], numbers: list[Any]) -> State:
         """Return the state; components off a joint's subgroup are dropped."""
         plan, read = self.plan, self.inputs.parts(numbers)
@@ -117,10 +114,3 @@ class TreeFormulation(Projection, TreeMeasures):
         state = State(tuple(charts), x, velocity, nothing, carried=carried)
         tidied = self.tidied(body, self.structured(state, body).chart)
         return self.structured(state._replace(chart=tidied), body)
-
-    def pose_check(self, numbers: list[Any], time: Any) -> tuple[()]:
-        return ()
-
-    def is_on_joint(self, check: tuple[()], numbers: list[Any], time: Any) -> Any:
-        """Return 1: `Mechanism.violation` examines starts before they are packed."""
-        return 1.0
