@@ -35,9 +35,7 @@ from lierb.kernels.loops.record import (
     without_measures,
 )
 from lierb.kernels.loops.sharing import pack, take_share
-from lierb.kernels.loops.states_in_memory import (
-    keep_errors,
-)
+from lierb.kernels.loops.states_in_memory import keep_errors
 from lierb.kernels.loops.tables import (
     Place,
     store_derivatives,

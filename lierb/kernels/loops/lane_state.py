@@ -19,28 +19,12 @@ from lierb.kernels.loops.record import (
 from lierb.kernels.loops.tables import user_state
 from lierb.kernels.loops.ticks import first_control
 from lierb.kernels.loops.workspace import DUE, NOISE_INDEX
-from lierb.kernels.numbers.arithmetic import (
-    any_lanes,
-    flatten,
-    load,
-    store,
-    where,
-)
+from lierb.kernels.numbers.arithmetic import any_lanes, flatten, load, store, where
 from lierb.kernels.numbers.dual import values
-from lierb.kernels.stepping.lane_clock import (
-    LaneClock,
-    Span,
-    continued,
-    first_clock,
-)
+from lierb.kernels.stepping.lane_clock import LaneClock, Span, continued, first_clock
 from lierb.kernels.stepping.step_size import Tolerances
 from lierb.kernels.systems.combine import NAN
-from lierb.kernels.systems.derivatives import (
-    completed,
-    on_values,
-    parts_side_by_side,
-    with_parts,
-)
+from lierb.kernels.systems.derivatives import completed, on_values, parts_side_by_side, with_parts
 from lierb.kernels.systems.extra_states import Control, with_initial_states, with_signals
 from lierb.kernels.systems.layout import LANE_END
 from lierb.kernels.systems.plan import AnyPlan

@@ -20,10 +20,7 @@ from lierb.kernels.loops.record import (
     with_turns,
     without_measures,
 )
-from lierb.kernels.loops.states_in_memory import (
-    keep_errors,
-    take_next,
-)
+from lierb.kernels.loops.states_in_memory import keep_errors, take_next
 from lierb.kernels.loops.ticks import controlled, is_any_due, periods_of
 from lierb.kernels.loops.workspace import DUE, NOISE_INDEX, SELECTED
 from lierb.kernels.numbers.arithmetic import (
@@ -50,11 +47,7 @@ from lierb.kernels.stepping.lane_clock import (
 )
 from lierb.kernels.stepping.method import Interval
 from lierb.kernels.stepping.method_of import method_of
-from lierb.kernels.stepping.step_size import (
-    Tolerances,
-    squared_correction,
-    squared_error,
-)
+from lierb.kernels.stepping.step_size import Tolerances, squared_correction, squared_error
 from lierb.kernels.stepping.travel import longest_step
 from lierb.kernels.systems.combine import NAN
 from lierb.kernels.systems.derivatives import completed

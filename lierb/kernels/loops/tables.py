@@ -11,12 +11,7 @@ from lierb.kernels.numbers.arithmetic import prefetch, scatter, sqrt, where
 from lierb.kernels.numbers.dual import Dual, values
 from lierb.kernels.numbers.vec import Vec
 from lierb.kernels.systems.combine import NAN
-from lierb.kernels.systems.derivatives import (
-    differentiated,
-    in_time,
-    on_values,
-    parts_side_by_side,
-)
+from lierb.kernels.systems.derivatives import differentiated, in_time, on_values, parts_side_by_side
 from lierb.kernels.systems.extra_states import with_states
 from lierb.kernels.systems.layout import POSE_AND_TWIST
 from lierb.kernels.systems.measures import KEPT, SUMMARY

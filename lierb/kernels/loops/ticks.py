@@ -12,12 +12,7 @@ from lierb.kernels.numbers.vec import Vec
 from lierb.kernels.stepping.lane_clock import rounding_at
 from lierb.kernels.systems.extra_states import Control, with_signals
 from lierb.kernels.systems.plan import AnyPlan
-from lierb.kernels.systems.signals import (
-    controllers_of,
-    memory_slices,
-    output_slices,
-    outputs_of,
-)
+from lierb.kernels.systems.signals import controllers_of, memory_slices, output_slices, outputs_of
 from lierb.kernels.systems.state import State
 from lierb.kernels.systems.system_of import system_of
 

@@ -29,19 +29,9 @@ from lierb.kernels.mechanics.newton_euler import (
     inertia_about_com,
 )
 from lierb.kernels.mechanics.rows import AddedRow, Rows
-from lierb.kernels.numbers.arithmetic import (
-    PI,
-    fma,
-)
+from lierb.kernels.numbers.arithmetic import PI, fma
 from lierb.kernels.numbers.number import Number
-from lierb.kernels.numbers.vec import (
-    ZERO3,
-    ZERO6,
-    Vec,
-    add,
-    dot,
-    norm,
-)
+from lierb.kernels.numbers.vec import ZERO3, ZERO6, Vec, add, dot, norm
 from lierb.kernels.numbers.zero import ZERO
 
 # Largest rotation in a step where a force is an unknown function of the pose. 1/8 of a turn is

@@ -4,14 +4,7 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-from lierb.kernels.numbers.arithmetic import (
-    absolute,
-    fma,
-    maximum,
-    minimum,
-    sqrt,
-    where,
-)
+from lierb.kernels.numbers.arithmetic import absolute, fma, maximum, minimum, sqrt, where
 from lierb.kernels.numbers.number import Number
 
 # Part of the distance to a kink at which a step ends: its last stages are off by the stage's error,

@@ -12,26 +12,12 @@ from lierb.kernels.functions.function import Function
 from lierb.kernels.functions.shapes import Shapes
 from lierb.kernels.functions.signals import Noise
 from lierb.kernels.mechanics.elements import Element, Shape
-from lierb.kernels.mechanics.newton_euler import (
-    Frames,
-    Motion,
-    Wrench,
-)
+from lierb.kernels.mechanics.newton_euler import Frames, Motion, Wrench
 from lierb.kernels.mechanics.scale import ROUNDING
 from lierb.kernels.mechanics.user_frames import UserFrame
-from lierb.kernels.numbers.arithmetic import (
-    PI,
-    absolute,
-    flatten,
-    fma,
-    plain,
-    rint,
-)
+from lierb.kernels.numbers.arithmetic import PI, absolute, flatten, fma, plain, rint
 from lierb.kernels.numbers.trigonometry import atan2
-from lierb.kernels.numbers.vec import (
-    Mat,
-    Vec,
-)
+from lierb.kernels.numbers.vec import Mat, Vec
 from lierb.kernels.numbers.zero import ZERO
 
 FELT = ("alpha", "specific_force")  # arguments of functions that depend on accelerations

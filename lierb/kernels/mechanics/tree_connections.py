@@ -25,16 +25,7 @@ from lierb.kernels.mechanics.newton_euler import Kinematics, Motion
 from lierb.kernels.mechanics.rows import Row, Rows
 from lierb.kernels.mechanics.spatial import Pose, wrench_from
 from lierb.kernels.mechanics.tree import HERE, Ends, combined
-from lierb.kernels.mechanics.tree_nodes import (
-    ARM,
-    OMEGA,
-    PLACE,
-    PULLS,
-    SPEED,
-    START,
-    TURN,
-    Kind,
-)
+from lierb.kernels.mechanics.tree_nodes import ARM, OMEGA, PLACE, PULLS, SPEED, START, TURN, Kind
 from lierb.kernels.numbers.vec import (
     IDENTITY,
     ZERO3,

@@ -5,15 +5,8 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 from lierb.kernels.functions.user_number import UserNumber
-from lierb.kernels.mechanics.newton_euler import (
-    Frames,
-    Motion,
-    Pose,
-    Wrench,
-)
-from lierb.kernels.numbers.arithmetic import (
-    plain,
-)
+from lierb.kernels.mechanics.newton_euler import Frames, Motion, Pose, Wrench
+from lierb.kernels.numbers.arithmetic import plain
 from lierb.kernels.numbers.dual import Dual
 from lierb.kernels.numbers.vec import (
     ZERO3,

@@ -13,17 +13,7 @@ from lierb.kernels.mechanics.newton_euler import Frames, Kinematics
 from lierb.kernels.mechanics.rows import AddedRow, HeldBody
 from lierb.kernels.mechanics.user_frames import UserFrame, constant_in_time, moving, second
 from lierb.kernels.numbers.arithmetic import plain
-from lierb.kernels.numbers.vec import (
-    ZERO3,
-    ZERO6,
-    Vec,
-    add,
-    cross,
-    cross_add,
-    mat_vec,
-    row,
-    sub,
-)
+from lierb.kernels.numbers.vec import ZERO3, ZERO6, Vec, add, cross, cross_add, mat_vec, row, sub
 from lierb.kernels.numbers.zero import ZERO
 
 

@@ -8,20 +8,10 @@ from typing import Any, ClassVar
 from lierb.kernels.functions.function import Function
 from lierb.kernels.functions.user_number import UserNumber
 from lierb.kernels.mechanics.elements import Element
-from lierb.kernels.mechanics.newton_euler import (
-    Frames,
-    Motion,
-    Wrench,
-)
+from lierb.kernels.mechanics.newton_euler import Frames, Motion, Wrench
 from lierb.kernels.mechanics.user_frames import UserFrame, moving
-from lierb.kernels.numbers.arithmetic import (
-    flatten,
-)
-from lierb.kernels.numbers.vec import (
-    cross,
-    mat_vec,
-    row,
-)
+from lierb.kernels.numbers.arithmetic import flatten
+from lierb.kernels.numbers.vec import cross, mat_vec, row
 from lierb.kernels.numbers.zero import ZERO
 
 

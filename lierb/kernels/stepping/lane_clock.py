@@ -21,14 +21,7 @@ from lierb.kernels.numbers.arithmetic import (
 )
 from lierb.kernels.numbers.zero import ZERO, is_zero
 from lierb.kernels.stepping.clock import TIDY_EVERY
-from lierb.kernels.stepping.step_size import (
-    EPS,
-    LEAST_ULPS,
-    Tolerances,
-    change,
-    first_step,
-    within,
-)
+from lierb.kernels.stepping.step_size import EPS, LEAST_ULPS, Tolerances, change, first_step, within
 from lierb.kernels.systems.layout import LANE_END
 from lierb.kernels.systems.plan import AnyPlan
 from lierb.kernels.systems.state import (

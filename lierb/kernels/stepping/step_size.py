@@ -12,13 +12,7 @@ from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 from lierb.kernels.mechanics.scale import START_TOLERANCE
-from lierb.kernels.numbers.arithmetic import (
-    fma,
-    maximum,
-    minimum,
-    sqrt,
-    where,
-)
+from lierb.kernels.numbers.arithmetic import fma, maximum, minimum, sqrt, where
 from lierb.kernels.numbers.vec import Vec, dot
 from lierb.kernels.numbers.zero import ZERO, is_zero
 from lierb.kernels.stepping.method import Defect

@@ -16,15 +16,7 @@ from lierb.kernels.mechanics.newton_euler import (
 )
 from lierb.kernels.mechanics.scale import PoseTolerances
 from lierb.kernels.numbers.arithmetic import rounded_as_numpy, where
-from lierb.kernels.numbers.vec import (
-    IDENTITY,
-    ZERO3,
-    ZERO9,
-    Mat,
-    Vec,
-    mat_mat,
-    mat_vec_add,
-)
+from lierb.kernels.numbers.vec import IDENTITY, ZERO3, ZERO9, Mat, Vec, mat_mat, mat_vec_add
 from lierb.kernels.numbers.zero import ZERO
 from lierb.kernels.systems.layout import INPUTS, pose_of
 

@@ -18,12 +18,7 @@ from lierb.kernels.groups.quaternion import Chart
 from lierb.kernels.mechanics.constraints import smooth_residuals
 from lierb.kernels.mechanics.elements import Applied, applied_to
 from lierb.kernels.mechanics.newton_euler import BodyConstants
-from lierb.kernels.mechanics.saddle import (
-    PIVOT_TOLERANCE,
-    Elimination,
-    has_others,
-    is_other_rank,
-)
+from lierb.kernels.mechanics.saddle import PIVOT_TOLERANCE, Elimination, has_others, is_other_rank
 from lierb.kernels.numbers.arithmetic import any_lanes, branch, fma, sqrt, where
 from lierb.kernels.numbers.elimination import Factored
 from lierb.kernels.numbers.newton import total, without_derivatives

@@ -16,15 +16,7 @@ from lierb.kernels.numbers.vec import Vec
 from lierb.kernels.systems.layout import Columns
 from lierb.kernels.systems.measures import Observed
 from lierb.kernels.systems.plan import AnyPlan
-from lierb.kernels.systems.state import (
-    Factors,
-    Rates,
-    Slopes,
-    Stabilised,
-    State,
-    Units,
-    Weights,
-)
+from lierb.kernels.systems.state import Factors, Rates, Slopes, Stabilised, State, Units, Weights
 
 Body = TypeVar("Body")
 Motion = TypeVar("Motion")

@@ -19,12 +19,7 @@ from lierb.kernels.numbers.dual import values
 from lierb.kernels.numbers.zero import is_zero
 from lierb.kernels.systems import tree_places as at
 from lierb.kernels.systems.combine import NAN
-from lierb.kernels.systems.derivatives import (
-    completed,
-    in_time,
-    moved_in_body,
-    parts_side_by_side,
-)
+from lierb.kernels.systems.derivatives import completed, in_time, moved_in_body, parts_side_by_side
 from lierb.kernels.systems.extra_states import with_states
 from lierb.kernels.systems.layout import POSE_AND_TWIST
 from lierb.kernels.systems.measures import JOINT_ERRORS, JOINT_KEPT

@@ -19,13 +19,7 @@ from lierb.kernels.mechanics.newton_euler import Motion
 from lierb.kernels.mechanics.rows import Rows as JointRows
 from lierb.kernels.mechanics.spatial import Pose, twist_at
 from lierb.kernels.mechanics.tree import HERE, Connection, Ends
-from lierb.kernels.mechanics.tree_connections import (
-    FRAME_ROWS,
-    Connected,
-    Frame,
-    between,
-    frame_on,
-)
+from lierb.kernels.mechanics.tree_connections import FRAME_ROWS, Connected, Frame, between, frame_on
 from lierb.kernels.mechanics.tree_nodes import CONSTANTS, DETAILS, MOTION, JointKind, Kind
 from lierb.kernels.numbers.arithmetic import flatten, refilled
 from lierb.kernels.numbers.dual import Dual, parts_of

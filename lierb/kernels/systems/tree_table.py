@@ -16,14 +16,7 @@ from numpy.typing import NDArray
 from lierb.kernels.functions.function import size_of
 from lierb.kernels.mechanics import subgroup
 from lierb.kernels.mechanics.tree import GROUND, MASSLESS
-from lierb.kernels.mechanics.tree_nodes import (
-    CONSTANTS,
-    DETAILS,
-    MOTION,
-    PASSED,
-    JointKind,
-    Kind,
-)
+from lierb.kernels.mechanics.tree_nodes import CONSTANTS, DETAILS, MOTION, PASSED, JointKind, Kind
 from lierb.kernels.numbers.arithmetic import flatten
 from lierb.kernels.numbers.zero import is_zero
 from lierb.kernels.systems import tree_places as at
