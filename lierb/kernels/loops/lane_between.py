@@ -6,13 +6,12 @@ from typing import Any, NamedTuple
 
 from lierb.kernels.loops import workspace as ws
 from lierb.kernels.loops.lane_state import Lanes, put_row, put_rows, row_of
-from lierb.kernels.loops.lane_steps import Made, inside
+from lierb.kernels.loops.lane_steps import Made, interval_of
 from lierb.kernels.loops.record import Record, observe, with_all_parts, without_measures
 from lierb.kernels.mechanics.passive_elements import UserEvent
 from lierb.kernels.numbers.arithmetic import absolute, all_lanes, any_lanes, load, store, where
 from lierb.kernels.numbers.dual import values
 from lierb.kernels.stepping.lane_clock import LaneClock, Trial, rounding_at
-from lierb.kernels.stepping.method import Interval
 from lierb.kernels.stepping.method_of import method_of
 from lierb.kernels.stepping.travel import MOST_PARTS, parts_to_watch
 from lierb.kernels.systems.derivatives import on_values
@@ -28,7 +27,7 @@ def slopes_between(plan: AnyPlan, body: Any, state: State, made: Made, trial: Tr
     """Return the slopes of the continuous extension."""
     if not plan.is_continuous:
         return ()
-    at = Interval(*inside(plan, trial), trial.h)
+    at = interval_of(plan, trial)
     return method_of(plan).extended(system_of(plan), body, state, at, made.slopes)
 
 
@@ -38,7 +37,7 @@ def state_between(
     """Return the state at θ of a step."""
     if not plan.interpolates:
         return state  # never
-    at = Interval(*inside(plan, trial), trial.h)
+    at = interval_of(plan, trial)
     between = method_of(plan).between(system_of(plan), body, state, at, slopes, theta)
     return with_all_parts(plan, between)
 

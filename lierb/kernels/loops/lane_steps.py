@@ -93,16 +93,16 @@ def next_trial(plan: AnyPlan, body: Any, lanes: Lanes, stop: Any, active: Any) -
     return trial_of(plan, clock, stop, active)
 
 
-def inside(plan: AnyPlan, trial: Trial) -> tuple[Any, Any]:
-    """Return start and length of the step, s, for functions of time.
+def interval_of(plan: AnyPlan, trial: Trial) -> Interval:
+    """Return the interval of the step.
 
-    If these may jump at an end, the interval is inside the step by a rounding.
+    If functions of time may jump at an end, theirs is inside the step by a rounding.
     """
     if not plan.jumps:
-        return trial.start, trial.h
+        return Interval(trial.start, trial.h, trial.h)
     rounding = rounding_at(maximum(absolute(trial.start), absolute(trial.end)))
     rounding = fma(NODES, trial.h, rounding)
-    return trial.start + rounding, maximum(trial.h - 2.0 * rounding, 0.0)
+    return Interval(trial.start + rounding, maximum(trial.h - 2.0 * rounding, 0.0), trial.h)
 
 
 class Made(NamedTuple):
@@ -130,7 +130,7 @@ def attempted(plan: AnyPlan, body: Any, lanes: Lanes, trial: Trial, limits: Tole
     """Try a step."""
     state, body = lanes.state, with_rank(plan, body, lanes.record)
     all_stages = plan.is_continuous or plan.is_adaptive
-    at = Interval(*inside(plan, trial), trial.h)
+    at = interval_of(plan, trial)
     made = method_of(plan).step(system_of(plan), body, state, at, all_stages)
     square: Any = ZERO
     correction: Any = ZERO

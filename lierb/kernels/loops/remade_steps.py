@@ -6,7 +6,7 @@ from itertools import count
 from typing import Any, NamedTuple
 
 from lierb.kernels.loops.gains import Adjoint, is_constant, marked, moving, tape_at
-from lierb.kernels.loops.lane_steps import inside
+from lierb.kernels.loops.lane_steps import interval_of
 from lierb.kernels.loops.record import load_values
 from lierb.kernels.loops.ticks import controlled, first_control, is_any_due
 from lierb.kernels.numbers.arithmetic import (
@@ -72,8 +72,7 @@ def interval_at(run: Adjoint, noted: Noted, k: Any) -> Interval:
     if not run.plan.has_lane_clocks:
         return Interval(start, noted.dt, noted.dt)
     end = time_at(run, noted, k + 1)
-    time, span = inside(run.plan, Trial(start, end - start, end, 0.0))
-    return Interval(time, span, end - start)
+    return interval_of(run.plan, Trial(start, end - start, end, 0.0))
 
 
 # ---- start ----
