@@ -11,9 +11,26 @@ from lierb.kernels.functions.user_number import UserNumber
 from lierb.kernels.mechanics.elements import Element
 from lierb.kernels.mechanics.newton_euler import Frames, Kinematics
 from lierb.kernels.mechanics.rows import AddedRow, HeldBody
-from lierb.kernels.mechanics.user_frames import UserFrame, constant_in_time, moving, second
+from lierb.kernels.mechanics.user_frames import (
+    UserFrame,
+    constant_in_time,
+    moving,
+    second,
+    slope_of,
+)
 from lierb.kernels.numbers.arithmetic import plain
-from lierb.kernels.numbers.vec import ZERO3, ZERO6, Vec, add, cross, cross_add, mat_vec, row, sub
+from lierb.kernels.numbers.vec import (
+    ZERO3,
+    ZERO6,
+    Vec,
+    add,
+    cross,
+    cross_add,
+    mat_vec,
+    row,
+    sub,
+    units,
+)
 from lierb.kernels.numbers.zero import ZERO
 
 
@@ -43,17 +60,29 @@ class UserRow(AddedRow):
     def __str__(self) -> str:
         return self.element.function.name + (str(self.i + 1) if self.element.rows > 1 else "")
 
-    def _of(self, body: HeldBody, r: Any, place: Any) -> Any:
+    def _given(self, body: HeldBody) -> tuple[UserFrame, tuple[Any, ...]]:
+        """Return the user's frames, and the parameters of the function."""
+        frame, parameters = self.placed(body)
+        return UserFrame(*frame), parameters
+
+    def _of(self, parameters: tuple[Any, ...], *motion: Any) -> Any:
         with constraint():
-            return self.element.function(self.placed(body)[1], r, place)[self.i]
+            return self.element.function(parameters, *motion)[self.i]
+
+    def _along_twists(self, x: Kinematics, frame: UserFrame, number: Any) -> Vec:
+        """Return the row of J from the number's derivatives along the unit twists of the user."""
+        slope = number.parts if isinstance(number, UserNumber) and number.parts else ZERO6
+        torque, force = frame.to_joint_axes(slope[:3], slope[3:])
+        return cross_add(x.arm, force, torque) + x.translation(mat_vec(x.q, force), force)
 
     def value(self, x: Kinematics, body: HeldBody) -> Any:
-        h = self._of(body, *UserFrame(*self.placed(body)[0]).pose(x.q, x.d))
+        frame, parameters = self._given(body)
+        h = self._of(parameters, *frame.pose(x.q, x.d))
         return h.value if isinstance(h, UserNumber) else h
 
     def jacobian(self, x: Kinematics, body: HeldBody) -> Vec:
         """Derivative along the six unit twists, Ṙ = R ω̂ and ṙ = R v in the user's body axes."""
-        frame = UserFrame(*self.placed(body)[0])
+        frame, parameters = self._given(body)
         r, place = frame.pose(x.q, x.d)
         entries = []
         for axis in range(3):
@@ -61,14 +90,12 @@ class UserRow(AddedRow):
             for entry, turning in ((a, (ZERO, -c, b)), (b, (c, ZERO, -a)), (c, (-b, a, ZERO))):
                 entries.append(UserNumber(entry, turning + ZERO3))
         places = [UserNumber(place[axis], ZERO3 + row(r, axis)) for axis in range(3)]
-        h = self._of(body, tuple(entries), tuple(places))
-        slope = h.parts if isinstance(h, UserNumber) else ZERO6
-        torque, force = frame.to_joint_axes(slope[:3], slope[3:])
-        return cross_add(x.arm, force, torque) + x.translation(mat_vec(x.q, force), force)
+        h = self._of(parameters, tuple(entries), tuple(places))
+        return self._along_twists(x, frame, h)
 
     def acceleration(self, x: Kinematics, body: HeldBody) -> Any:
         """Return η = −ḧ at V̇ = 0, where R̈ = R ω̂²."""
-        frame = UserFrame(*self.placed(body)[0])
+        frame, parameters = self._given(body)
         r, place = frame.pose(x.q, x.d)
         omega, v = frame.twist(x.omega, x.point_rate)
         swing = cross(x.omega, cross(x.omega, frame.origin))
@@ -79,11 +106,8 @@ class UserRow(AddedRow):
             entries += [second(*xs) for xs in zip(along, rate, cross(rate, omega), strict=True)]
         bend = mat_vec(r, mat_vec(frame.axes, add(x.point_bias, swing)))
         places = [second(*xs) for xs in zip(place, mat_vec(r, v), bend, strict=True)]
-        parameters = constant_in_time(self.placed(body)[1])
-        with constraint():
-            h = self.element.function(parameters, tuple(entries), tuple(places))[self.i]
-        slope = h.parts[0] if isinstance(h, UserNumber) else ZERO
-        return -slope.parts[0] if isinstance(slope, UserNumber) and slope.parts else ZERO
+        h = self._of(constant_in_time(parameters), tuple(entries), tuple(places))
+        return -slope_of(slope_of(h))
 
 
 @dataclass(frozen=True)
@@ -104,33 +128,18 @@ class UserVelocityRow(UserRow):
 
     def jacobian(self, x: Kinematics, body: HeldBody) -> Vec:
         """Derivatives by ω and v, in the user's body axes."""
-        frame = UserFrame(*self.placed(body)[0])
-        pose, rest = frame.pose(x.q, x.d), (0.0 * plain(x.q[0]),) * 6
-        twist = tuple(
-            UserNumber(zero, tuple(1.0 if i == k else ZERO for k in range(6)))
-            for i, zero in enumerate(rest)
-        )
-        slope = _slopes(self._rate(body, *pose, twist[:3], twist[3:]), ZERO6)
-        torque, force = frame.to_joint_axes(slope[:3], slope[3:])
-        return cross_add(x.arm, force, torque) + x.translation(mat_vec(x.q, force), force)
+        frame, parameters = self._given(body)
+        pose, zero = frame.pose(x.q, x.d), 0.0 * plain(x.q[0])
+        twist = tuple(UserNumber(zero, unit) for unit in units(6))
+        return self._along_twists(x, frame, self._of(parameters, *pose, twist[:3], twist[3:]))
 
     def acceleration(self, x: Kinematics, body: HeldBody) -> Any:
         """Return η = −ġ at ω̇ = 0 and at the acceleration of the point at V̇ = 0."""
-        frame = UserFrame(*self.placed(body)[0])
+        frame, parameters = self._given(body)
         r, place = frame.pose(x.q, x.d)
         omega, v = frame.twist(x.omega, x.point_rate)
         turning = sum((cross(row(r, i), omega) for i in range(3)), start=())  # Ṙ = R ω̂
         # the components of v in turning axes: v̇ = Qᵀd̈ − ω × v
         change = mat_vec(frame.axes, sub(x.point_bias, cross(x.omega, x.point_rate)))
         pose = moving(r, turning), moving(place, mat_vec(r, v))
-        rate = self._rate(body, *pose, moving(omega, ZERO3), moving(v, change))
-        return -_slopes(rate, (ZERO,))[0]
-
-    def _rate(self, body: HeldBody, r: Any, place: Any, omega: Any, v: Any) -> Any:
-        with constraint():
-            return self.element.function(self.placed(body)[1], r, place, omega, v)[self.i]
-
-
-def _slopes(number: Any, none: Vec) -> Vec:
-    """Derivatives of a number, or `none` of a constant."""
-    return number.parts if isinstance(number, UserNumber) and number.parts else none
+        return -slope_of(self._of(parameters, *pose, moving(omega, ZERO3), moving(v, change)))
