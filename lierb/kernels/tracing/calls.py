@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numba
@@ -68,25 +69,20 @@ def call_compiled(
     return [where(fine, x, math.nan) for x in results]
 
 
+@dataclass(frozen=True)
 class _Lanes:
     """Emit the code that calls a compiled function lane by lane.
 
     inputs, count : numbers of inputs and results of the function.   width : number of lanes.
     """
 
-    def __init__(
-        self,
-        context: Any,
-        compiled: Any,
-        types_of: tuple[types.Type, ...],
-        samples: list[Any],
-        inputs: int,
-        count: int,
-        width: int,
-    ) -> None:
-        self.context, self.compiled = context, compiled
-        self.types_of, self.samples = types_of, samples
-        self.inputs, self.count, self.width = inputs, count, width
+    context: Any
+    compiled: Any
+    types_of: tuple[types.Type, ...]
+    samples: list[Any]
+    inputs: int
+    count: int
+    width: int
 
     def _packs(self, count: int) -> ir.Type:
         return ir.ArrayType(ir.ArrayType(DOUBLE, self.width), count)
