@@ -245,22 +245,19 @@ kernel(unit_quaternion, numbers_only=True)
 kernel(rotation_vector, numbers_only=True)
 
 
-@overload(quaternion)
-def _quaternion_of_one_body(R):  # no annotations: Numba compares signatures
-    return lambda R: np.array(
-        unit_quaternion(
-            (R[0, 0], R[0, 1], R[0, 2], R[1, 0], R[1, 1], R[1, 2], R[2, 0], R[2, 1], R[2, 2])
+def _of_one_body(formula):
+    def typed(R):  # no annotations: Numba compares signatures
+        return lambda R: np.array(
+            formula(
+                (R[0, 0], R[0, 1], R[0, 2], R[1, 0], R[1, 1], R[1, 2], R[2, 0], R[2, 1], R[2, 2])
+            )
         )
-    )
+
+    return typed
 
 
-@overload(log)
-def _log_of_one_body(R):
-    return lambda R: np.array(
-        rotation_vector(
-            (R[0, 0], R[0, 1], R[0, 2], R[1, 0], R[1, 1], R[1, 2], R[2, 0], R[2, 1], R[2, 2])
-        )
-    )
+overload(quaternion)(_of_one_body(unit_quaternion))
+overload(log)(_of_one_body(rotation_vector))
 
 
 @overload(clip)
