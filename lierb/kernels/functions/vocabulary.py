@@ -205,10 +205,7 @@ def _rate(q: Vec, r: Mat, rate: Mat) -> Vec:
     )
     w, v = q[0], q[1:]
     bent = cross(v, omega)
-    return (
-        -0.5 * dot(v, omega),
-        *(0.5 * (w * o + b) for o, b in zip(omega, bent, strict=True)),
-    )
+    return (-0.5 * dot(v, omega), *(0.5 * (w * o + b) for o, b in zip(omega, bent, strict=True)))
 
 
 def rotation_vector(r: Mat) -> Vec:

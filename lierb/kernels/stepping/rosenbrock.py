@@ -35,13 +35,7 @@ class Rosenbrock(StageMethod):
     scheme: RosenbrockScheme
 
     def with_stages(
-        self,
-        system: AnySystem,
-        body: Any,
-        state: State,
-        at: Interval,
-        slopes: Slopes,
-        rows: Stages,
+        self, system: AnySystem, body: Any, state: State, at: Interval, slopes: Slopes, rows: Stages
     ) -> tuple[Slopes, Any]:
         if not rows:  # a continuous extension without further stages
             return slopes, ZERO

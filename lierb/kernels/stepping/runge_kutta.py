@@ -32,13 +32,7 @@ class ExplicitRungeKutta(StageMethod):
     scheme: ExplicitScheme
 
     def with_stages(
-        self,
-        system: AnySystem,
-        body: Any,
-        state: State,
-        at: Interval,
-        slopes: Slopes,
-        rows: Stages,
+        self, system: AnySystem, body: Any, state: State, at: Interval, slopes: Slopes, rows: Stages
     ) -> tuple[Slopes, Any]:
         """Return the slopes with those of further stages, and 1 where any stage is singular."""
         h, products = at.h, self.scheme.exponentials

@@ -22,13 +22,7 @@ class StageMethod:
     scheme: StagedScheme
 
     def with_stages(
-        self,
-        system: AnySystem,
-        body: Any,
-        state: State,
-        at: Interval,
-        slopes: Slopes,
-        rows: Stages,
+        self, system: AnySystem, body: Any, state: State, at: Interval, slopes: Slopes, rows: Stages
     ) -> tuple[Slopes, Any]:
         """Return the slopes with those of further stages, and 1 where any stage is singular."""
         raise NotImplementedError

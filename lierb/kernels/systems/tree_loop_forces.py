@@ -75,8 +75,7 @@ class LoopForces(LoopMeasures):
         def put_solution(constraint: MemoryConstraint) -> None:
             solution, first = constraint.vector(at.MULTIPLIERS), constraint.entry(at.LAMBDA)
             for_each(
-                constraint.entry(at.HOLDS),
-                lambda i: put_multipliers_at(first + i, (solution[i],)),
+                constraint.entry(at.HOLDS), lambda i: put_multipliers_at(first + i, (solution[i],))
             )
 
         if self.plan.multipliers:
