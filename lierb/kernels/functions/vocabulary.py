@@ -21,7 +21,7 @@ from lierb.kernels.functions.user_number import UserNumber, choice, raw, value_o
 from lierb.kernels.groups import so3
 from lierb.kernels.numbers.arithmetic import plain
 from lierb.kernels.numbers.dual import side_by_side
-from lierb.kernels.numbers.vec import Mat, Vec, cross, dot, mat_t_mat, norm, scale
+from lierb.kernels.numbers.vec import Mat, Vec, axial, cross, dot, mat_t_mat, norm, scale
 from lierb.kernels.tracing.trace import kernel
 
 SMALL = 0.25  # tan²(θ/2) up to which the series is as accurate as atan2
@@ -197,12 +197,7 @@ def unit_quaternion(r: Mat) -> Vec:
 
 
 def _rate(q: Vec, r: Mat, rate: Mat) -> Vec:
-    turning = mat_t_mat(r, rate)
-    omega = (
-        0.5 * (turning[7] - turning[5]),
-        0.5 * (turning[2] - turning[6]),
-        0.5 * (turning[3] - turning[1]),
-    )
+    omega = axial(mat_t_mat(r, rate))
     w, v = q[0], q[1:]
     bent = cross(v, omega)
     return (-0.5 * dot(v, omega), *(0.5 * (w * o + b) for o, b in zip(omega, bent, strict=True)))

@@ -87,6 +87,11 @@ def skew(a: Vec) -> Mat:
     return (ZERO, -z, y, z, ZERO, -x, -y, x, ZERO)
 
 
+def axial(m: Mat) -> Vec:
+    """Return the vector a of the skew part â of a matrix."""
+    return tuple(0.5 * (m[3 * k + j] - m[3 * j + k]) for j, k in ((1, 2), (2, 0), (0, 1)))
+
+
 def row(m: Mat, i: int) -> Vec:
     return m[3 * i : 3 * i + 3]
 

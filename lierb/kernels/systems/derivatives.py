@@ -16,7 +16,7 @@ from typing import Any
 
 from lierb.kernels.numbers.arithmetic import alike, flatten
 from lierb.kernels.numbers.dual import Dual, parts_of, value_of, values
-from lierb.kernels.numbers.vec import Vec, mat_t_mat, mat_t_vec
+from lierb.kernels.numbers.vec import Vec, axial, mat_t_mat, mat_t_vec
 from lierb.kernels.numbers.zero import ZERO, is_zero
 from lierb.kernels.systems.layout import END, Columns, Field
 from lierb.kernels.systems.observables import observables_of
@@ -144,9 +144,7 @@ def moved_in_body(link: Vec, directions: int) -> tuple[Any, ...]:
     along = []
     for j in range(directions):
         moved = tuple(parts_of(x)[j] if parts_of(x) else ZERO for x in link)
-        spin = mat_t_mat(turn, moved[:9])
-        pairs = ((1, 2), (2, 0), (0, 1))
-        axis = tuple(0.5 * (spin[3 * c + b] - spin[3 * b + c]) for b, c in pairs)
+        axis = axial(mat_t_mat(turn, moved[:9]))
         along.append((*axis, *mat_t_vec(turn, moved[9:12]), *moved[12:18]))
     return tuple(x for of_number in zip(*along, strict=True) for x in of_number)
 
