@@ -12,12 +12,8 @@ from typing import Any
 import numpy as np
 from numba.extending import is_jitted
 
-KNOWN = {
-    "numpy",
-    "numba",
-    "lierb",
-    *sys.stdlib_module_names,
-}  # packages whose functions are known by name
+# Packages whose functions are known by name.
+KNOWN = {"numpy", "numba", "lierb", *sys.stdlib_module_names}
 
 
 class UnfitFunctionError(TypeError):

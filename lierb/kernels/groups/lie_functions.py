@@ -44,22 +44,18 @@ def width(group: str, kind: str) -> int:
 
 def apply_block(tag: LieFunction, a: Any, b: Any, out: Any, first: Any) -> None:
     kinds, result_kind = SIGNATURES[tag.name]
-    operands = [
-        _unpacked(
-            tag,
-            kind,
-            [gather(array, 0, (first, c), tag.lanes) for c in range(width(tag.group, kind))],
-        )
-        for kind, array in zip(kinds, (a, b), strict=False)
-    ]
+    operands = []
+    for kind, array in zip(kinds, (a, b), strict=False):
+        columns = range(width(tag.group, kind))
+        row = tuple(gather(array, 0, (first, c), tag.lanes) for c in columns)
+        operands.append(_unpacked(tag, kind, row))
     numbers = _packed(tag, result_kind, tag.formula(*operands))
     scatter(out, 0, [(first, c) for c in range(len(numbers))], numbers, tag.lanes)
 
 
-def _unpacked(tag: LieFunction, kind: str, numbers: list[Any]) -> Any:
+def _unpacked(tag: LieFunction, kind: str, n: tuple[Any, ...]) -> Any:
     if kind == "x" or tag.group == "so3":
-        return tuple(numbers)
-    n = tuple(numbers)
+        return n
     return n[0:3] + n[4:7] + n[8:11], (n[3], n[7], n[11])
 
 

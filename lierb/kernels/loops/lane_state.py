@@ -84,12 +84,8 @@ def store_lanes(plan: AnyPlan, body: Any, carried: Any, lanes: Lanes) -> None:
     columns, control = carried_columns(plan), lanes.control
     put_rows(plan, carried, columns["clock"].start, (lanes.clock, values(control)))
     if plan.moving:
-        put_rows(
-            plan,
-            carried,
-            columns["control_parts"].start,
-            tuple(parts_side_by_side(control, plan.directions)),
-        )
+        parts = tuple(parts_side_by_side(control, plan.directions))
+        put_rows(plan, carried, columns["control_parts"].start, parts)
 
 
 # ---- exception flags of functions that are called body by body ----

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 from lierb.kernels.mechanics.scale import START_TOLERANCE
 from lierb.kernels.numbers.arithmetic import fma, maximum, minimum, sqrt, where
-from lierb.kernels.numbers.vec import Vec, dot
+from lierb.kernels.numbers.vec import Vec, dot, sub
 from lierb.kernels.numbers.zero import ZERO, is_zero
 from lierb.kernels.stepping.method import Defect
 from lierb.kernels.stepping.method_of import method_of
@@ -134,10 +134,7 @@ def _is_rough(plan: AnyPlan, body: Any, state: State, moved: State, slopes: Slop
     velocity = system_of(plan).velocity
     before, after = (velocity(body, each.v_or_mu) for each in (state, moved))
     first, *rest = slopes.v_or_mu
-    changes = [
-        velocity(body, tuple(h * (k - k0) for k, k0 in zip(rate, first, strict=True)))
-        for rate in rest
-    ]
+    changes = [velocity(body, tuple(h * x for x in sub(rate, first))) for rate in rest]
     rough: Any = h < 0.0  # never
     for i in range(0, len(before), 3):
         part = slice(i, i + 3)
@@ -334,13 +331,8 @@ def first_step(
     guess = minimum(guess, length)
     euler = moved(guess, (1.0,), Slopes().with_stage(start))
     there = system.stage_rates(body, euler, falling, time + guess, 1)
-    x, v_or_mu, states = (
-        tuple(after - before for before, after in zip(*pair, strict=True))
-        for pair in (
-            (start.x, there.x), (start.v_or_mu, there.v_or_mu), (start.states, there.states)
-        )
-    )  # fmt: skip
-    change = Rates(x, v_or_mu, ZERO, states=states)
+    x, v_or_mu = sub(there.x, start.x), sub(there.v_or_mu, start.v_or_mu)
+    change = Rates(x, v_or_mu, ZERO, states=sub(there.states, start.states))
     bend = _rate_against(plan, body, change, scales, {0: -1.0, 1: 1.0}) / (guess * guess)
     largest = maximum(speed, bend)
     at_rest = largest < 1e-30
@@ -372,11 +364,8 @@ def _rate_against(
     stages : weights of the stages whose sum the rates are, for a looped plan.
     """
     if plan.is_looped:
-        squares, states = (
-            in_memory(plan).slope_squares(body, stages),
-            _squares_of(plan, rates.states),
-        )
-        return _largest_of(body, squares, states, scales)
+        squares = in_memory(plan).slope_squares(body, stages)
+        return _largest_of(body, squares, _squares_of(plan, rates.states), scales)
     system = system_of(plan)
     twist = system.velocity(body, rates.v_or_mu)
     defect = Defect(*system.turning_and_moving(rates.x), twist, rates.states)

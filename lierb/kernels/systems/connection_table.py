@@ -128,12 +128,8 @@ def constraints_of(plan: MechanismPlan, freedoms: list[int]) -> Constraints:
     for number, kind in plan.constraints:
         first, second, size = _parts(plan, number, kinds.index(kind), constants)
         ends = [part[name] for part in (first, second) for name in (at.NODE, at.OTHER)]
-        walks, before, equation, count = (
-            legs_of(above, ends),
-            len(steps),
-            sum(counts),
-            len(kind.rows),
-        )
+        walks, before = legs_of(above, ends), len(steps)
+        equation, count = sum(counts), len(kind.rows)
         path = _freedoms_on(sorted(i for *_, nodes in walks for i in nodes), freedoms)
         length = sum(map(len, path.values()))
         table.append((
