@@ -5,13 +5,15 @@ The functions are those of `quaternion`, with Y = X/2 for X, at half the operati
 
 from __future__ import annotations
 
+from typing import Any
+
 from lierb.kernels.groups.coefficients import HalfAngleCoefficients
 from lierb.kernels.groups.quaternion import Chart, Pose, angle_coefficients, dexpinv
 from lierb.kernels.numbers.arithmetic import fma
 from lierb.kernels.numbers.vec import IDENTITY, Mat, Vec, dot, norm, scale
 from lierb.kernels.numbers.zero import is_zero
 
-__all__ = ["axis_of", "compose_exp", "dexpinv", "from_pose", "matrix", "pose"]
+__all__ = ["axis_of", "compose_exp", "dexpinv", "from_pose", "matrix", "matrix_about", "pose"]
 
 
 def axis_of(p: Vec) -> int:
@@ -20,13 +22,18 @@ def axis_of(p: Vec) -> int:
     return axis
 
 
-def matrix(p: Vec) -> Mat:
-    axis = axis_of(p)
+def matrix_about(axis: int, cosine: Any, sine: Any) -> Mat:
+    """Return the matrix of a rotation about an axis, from the cosine and sine of its angle."""
     i, j = (axis + 1) % 3, (axis + 2) % 3
     q = list(IDENTITY)
-    q[4 * i] = q[4 * j] = p[0]
-    q[3 * j + i], q[3 * i + j] = p[1 + axis], -p[1 + axis]
+    q[4 * i] = q[4 * j] = cosine
+    q[3 * j + i], q[3 * i + j] = sine, -sine
     return tuple(q)
+
+
+def matrix(p: Vec) -> Mat:
+    axis = axis_of(p)
+    return matrix_about(axis, p[0], p[1 + axis])
 
 
 def pose(c: Chart) -> Pose:

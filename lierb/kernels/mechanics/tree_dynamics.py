@@ -48,14 +48,13 @@ class ArticulatedBodies:
         for i in reversed(range(len(nodes))):
             self.inertias[i] = [part for part in (own[i], carried[i]) if part is not None]
             self.columns[i] = [self.momentum(i, s) for s in self.free[i]]
-            if self.free[i]:
-                stiff = stiffness_of(rows, i, self.free[i])
-                self.gains[i] = inverse(
-                    [
-                        [dot(s, u) + k for u, k in zip(self.columns[i], ks, strict=True)]
-                        for s, ks in zip(self.free[i], stiff, strict=True)
-                    ]
-                )
+            stiff = stiffness_of(rows, i, self.free[i])
+            self.gains[i] = inverse(
+                [
+                    [dot(s, u) + k for u, k in zip(self.columns[i], ks, strict=True)]
+                    for s, ks in zip(self.free[i], stiff, strict=True)
+                ]
+            )
             parent = nodes[i].parent
             if parent != GROUND:
                 moved = self._passed_on(i)
@@ -108,7 +107,7 @@ class ArticulatedBodies:
             before = (fall or {}).get(i, ZERO6) if node.parent == GROUND else moved[node.parent]
             carried = twist_at(steps[i], before)
             held = tuple(dot(u, carried) for u in self.columns[i])
-            rate = sub(forced[i], _times(self.gains[i], held)) if held else ()
+            rate = sub(forced[i], _times(self.gains[i], held))
             start = add(carried, biases[i]) if biases else carried
             relative = combined(rate, self.free[i])
             rates.append(relative)

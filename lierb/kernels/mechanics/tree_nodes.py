@@ -255,9 +255,7 @@ def gather(
     free = kind.free(turn, kind.pitch(constants))
     columns = [total.momentum(s) for s in free]
     count = len(columns)
-    gains: Vec = ()
-    if columns:
-        gains = subgroup.inverse([[dot(s, u) for u in columns] for s in free])
+    gains = subgroup.inverse([[dot(s, u) for u in columns] for s in free])
     pushes = tuple(dot(s, lacking) for s in free)
     rows = [gains[count * k : count * k + count] for k in range(count)]
     forced = tuple(dot(gain, pushes) for gain in rows)
@@ -293,9 +291,9 @@ def accelerate(kind: Kind, constants: Any, above: Any, here: Any) -> Vec:
         for f, pull in zip(forced, pulls, strict=True)
     )
     here.put(BY_RATES, *combined(rate, free, carried))
-    if count and kind.is_whole(0):
+    if kind.is_whole(0):
         rate = mat_t_vec(turn, rate[:3]) + rate[3:]
-    if count and kind.is_whole(1):
+    if kind.is_whole(1):
         rate = rate[:-3] + mat_t_vec(turn, rate[-3:])
     return rate
 

@@ -293,9 +293,4 @@ def _turn(about: int, axis: int, image: Vec) -> Mat:
     """
     third = 3 - about - axis
     sign = 1.0 if axis == (about + 1) % 3 else -1.0
-    c, s = image[axis], sign * image[third]
-    i, j = (about + 1) % 3, (about + 2) % 3
-    matrix = list(IDENTITY)
-    matrix[4 * i], matrix[4 * j] = c, c
-    matrix[3 * j + i], matrix[3 * i + j] = s, -s
-    return tuple(matrix)
+    return turns.matrix_about(about, image[axis], sign * image[third])
