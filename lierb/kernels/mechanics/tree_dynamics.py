@@ -16,7 +16,7 @@ without it, digits cancel down to the mass ratio of a light link and a heavy one
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from functools import cached_property
+from functools import cached_property, reduce
 from itertools import product
 from typing import Any, NamedTuple
 
@@ -63,13 +63,13 @@ class ArticulatedBodies:
 
     def momentum(self, i: int, twist: Vec) -> Vec:
         """Return the momentum of the articulated body of a node."""
-        return _sum([part.momentum(twist) for part in self.inertias[i]])
+        return reduce(add, [part.momentum(twist) for part in self.inertias[i]])
 
     def _passed_on(self, i: int) -> Articulated:
         """Return I − U (SᵀIS)⁻¹ Uᵀ in the parent's frame."""
         step = self.motion.steps[i]
         parts = [part.from_frame(step) for part in self.inertias[i]]
-        total = parts[0] if len(parts) == 1 else parts[0].and_also(parts[1])
+        total = reduce(Articulated.and_also, parts)
         columns = [wrench_from(step, u) for u in self.columns[i]]
         count = len(columns)
         for k in range(count):
@@ -242,13 +242,6 @@ def _net_loads(motion: TreeMotion, loads: dict[int, Vec], is_moving: bool) -> li
             bias = motion.body.nodes[i].rigid.bias(motion.twists[i][:3])
             totals[i] = sub(totals[i], bias)
     return totals
-
-
-def _sum(vectors: list[Vec]) -> Vec:
-    total = vectors[0]
-    for v in vectors[1:]:
-        total = add(total, v)
-    return total
 
 
 def _times(matrix: Vec, x: Vec) -> Vec:
