@@ -216,7 +216,5 @@ def applied_to(body: BodyConstants, elements: tuple[Element, ...], x: Motion) ->
 
 def potential_energy(elements: tuple[Element, ...], body: BodyConstants, x: Motion) -> Any:
     """Sum of the potential energies of all applied forces."""
-    total: Any = ZERO
-    for element, placed in zip(elements, body.elements, strict=True):
-        total = total + element.energy(placed, x)
-    return total
+    pairs = zip(elements, body.elements, strict=True)
+    return sum((element.energy(placed, x) for element, placed in pairs), start=ZERO)

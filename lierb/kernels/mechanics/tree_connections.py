@@ -183,10 +183,8 @@ class Connected:
 
         easy : reciprocals of the inertia's diagonal and of the mass, of all nodes.
         """
-        total: Any = ZERO
-        for wrench, reciprocals, node in zip(loads, easy, self.motions, strict=True):
-            total = total + square_of(wrench, reciprocals, node)
-        return total
+        triples = zip(loads, easy, self.motions, strict=True)
+        return sum((square_of(*triple) for triple in triples), start=ZERO)
 
 
 def square_of(wrench: Vec, easy: Vec, here: Any) -> Any:

@@ -63,11 +63,8 @@ class NodeRow(NamedTuple):
 
     def of_ground(self) -> Number:
         """Part of the left-hand side due to the acceleration of the ground."""
-        total: Number = ZERO
-        for each in self.parts:
-            if each.fall is not None:
-                total = total + dot(each.pull, ZERO3 + each.fall)
-        return total
+        falls = (dot(each.pull, ZERO3 + each.fall) for each in self.parts if each.fall is not None)
+        return sum(falls, start=ZERO)
 
     def on_still_ground(self) -> NodeRow:
         also = self.also and self.also.on_still_ground()

@@ -125,7 +125,4 @@ def _unsolved(is_solved: Any, at_start: Any) -> Any:
 
 def total(numbers: Vec) -> Any:
     """Return the sum of the magnitudes."""
-    result: Any = ZERO
-    for x in numbers:
-        result = result + absolute(x)
-    return result
+    return sum(map(absolute, numbers), start=ZERO)

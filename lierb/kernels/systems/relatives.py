@@ -144,8 +144,5 @@ def length_of(body: TreeConstants) -> Any:
 
 def size_of(length: Any, motion: Vec) -> Any:
     """Norm of a motion or velocity of all nodes, m or m/s; rotations are multiplied by `length`."""
-    total: Any = ZERO
-    for each in sixes(motion):
-        turn = scale(length, each[:3])
-        total = total + (dot(turn, turn) + dot(each[3:], each[3:]))
-    return sqrt(total)
+    parts = ((scale(length, each[:3]), each[3:]) for each in sixes(motion))
+    return sqrt(sum((dot(turn, turn) + dot(move, move) for turn, move in parts), start=ZERO))

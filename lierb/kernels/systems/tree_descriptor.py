@@ -154,10 +154,8 @@ class TreeDescriptor(Descriptor):
         return _joined(pulled_by(charts_of(node), *pair) for node, *pair in triples)
 
     def size(self, chart: Charts, x: Vec) -> Any:
-        total: Any = ZERO
-        for each, part in zip(chart, sixes(x), strict=True):
-            total = total + size_of(self.body.girth, each, part)
-        return total
+        pairs = zip(chart, sixes(x), strict=True)
+        return sum((size_of(self.body.girth, *pair) for pair in pairs), start=ZERO)
 
     def _is_mixed(self, i: int) -> bool:
         return self.nodes[i].cspace == "SO3xR3"
