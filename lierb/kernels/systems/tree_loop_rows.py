@@ -40,11 +40,6 @@ class LoopRows(LoopStart):
         zero, length, heavy = map(value_of, (0.0 * body.mass, body.length, body.heavy))
         return zero + body.dropped, length, heavy
 
-    @property
-    def _scaled(self) -> int:
-        """Number of `_scales`."""
-        return 3 if self.plan.constraint_kinds else 0
-
     def _constrain(
         self, tree: MemoryTree, time: Any, dropped: Lane, length: Lane, heavy: Lane
     ) -> None:

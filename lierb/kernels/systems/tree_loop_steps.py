@@ -78,7 +78,8 @@ class LoopSteps(LoopMotions):
         self._run("rates", body, self._rates, ahead, time, *more)
 
     def _rates(self, tree: MemoryTree, ahead: Index, time: Any, *numbers: Lane) -> None:
-        scales, rest = numbers[: self._scaled], numbers[self._scaled :]
+        count = 3 if self.plan.constraint_kinds else 0  # of `_scales`
+        scales, rest = numbers[:count], numbers[count:]
         self._load(tree, ahead, time, self._signals(rest))
         if scales:
             self._constrain(tree, time, *scales)
