@@ -7,6 +7,7 @@ as ** and %.
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Callable
 from typing import Any
 
@@ -28,6 +29,16 @@ NO_PLAIN_NUMBER = (
     "it needs a plain number, which one of many bodies at once is not; write np.trunc(x) for "
     "int(x), lierb.table(x, xs, ys) for xs[x], and np.zeros(n) in the function for an array to fill"
 )
+
+
+def _compares(holds: Callable[[Any, Any], Any]) -> Any:
+    def compared(self: UserNumber, other: Any) -> Any:
+        if not _is_number(other):
+            return NotImplemented
+        note_switch(self, other)
+        return Condition(holds(raw(self), raw(other)))
+
+    return compared
 
 
 class UserNumber(Dual):
@@ -102,20 +113,9 @@ class UserNumber(Dual):
     def imag(self) -> float:
         return 0.0
 
-    def __lt__(self, other: Any) -> Any:
-        return _compared(self, other, lambda x, y: x < y)
-
-    def __le__(self, other: Any) -> Any:
-        return _compared(self, other, lambda x, y: x <= y)
-
-    def __gt__(self, other: Any) -> Any:
-        return _compared(self, other, lambda x, y: x > y)
-
-    def __ge__(self, other: Any) -> Any:
-        return _compared(self, other, lambda x, y: x >= y)
-
-    def __eq__(self, other: Any) -> Any:
-        return _compared(self, other, lambda x, y: x == y)
+    __lt__, __le__ = _compares(operator.lt), _compares(operator.le)
+    __gt__, __ge__ = _compares(operator.gt), _compares(operator.ge)
+    __eq__ = _compares(operator.eq)
 
     def __ne__(self, other: Any) -> Any:
         equal = self == other
@@ -201,13 +201,6 @@ def _joined(a: Condition, b: Any, combine: Callable[[Any, Any], Any]) -> Any:
 
 def inverted(mask: Any) -> Any:
     return ~mask if isinstance(mask, (Mask, np.ndarray)) else not mask
-
-
-def _compared(a: UserNumber, b: Any, holds: Callable[[Any, Any], Any]) -> Any:
-    if not _is_number(b):
-        return NotImplemented
-    note_switch(a, b)
-    return Condition(holds(raw(a), raw(b)))
 
 
 def raw(x: Any) -> Any:

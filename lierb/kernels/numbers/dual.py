@@ -6,6 +6,7 @@ dual numbers. Values have the same bits as without derivatives.
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Callable, Iterator
 from functools import wraps
 from itertools import islice
@@ -33,6 +34,10 @@ from lierb.kernels.numbers.arithmetic import (
 from lierb.kernels.numbers.number import Number
 from lierb.kernels.numbers.trigonometry import atan2, sincos
 from lierb.kernels.numbers.zero import ZERO, is_zero
+
+
+def _compares(holds: Callable[[Any, Any], Any]) -> Any:
+    return lambda self, other: holds(raw(self), raw(other))
 
 
 class Dual:
@@ -86,20 +91,9 @@ class Dual:
     def __neg__(self) -> Any:
         return type(self)(-self.value, tuple(-part for part in self.parts))
 
-    def __lt__(self, other: Number) -> Any:
-        return raw(self) < raw(other)
-
-    def __le__(self, other: Number) -> Any:
-        return raw(self) <= raw(other)
-
-    def __gt__(self, other: Number) -> Any:
-        return raw(self) > raw(other)
-
-    def __ge__(self, other: Number) -> Any:
-        return raw(self) >= raw(other)
-
-    def __eq__(self, other: Any) -> Any:
-        return raw(self) == raw(other)
+    __lt__, __le__ = _compares(operator.lt), _compares(operator.le)
+    __gt__, __ge__ = _compares(operator.gt), _compares(operator.ge)
+    __eq__ = _compares(operator.eq)
 
     def along(self, slope: Number, value: Number) -> Any:
         """Return f(self), for `value` and `slope` of f and f′ at the number's value."""
