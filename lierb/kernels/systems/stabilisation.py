@@ -8,7 +8,7 @@ from __future__ import annotations
 from functools import partial
 from typing import Any
 
-from lierb.kernels.mechanics.tree import TreeConstants, TreeMotion
+from lierb.kernels.mechanics.tree import TreeConstants
 from lierb.kernels.mechanics.tree_dynamics import bodies_of, solved
 from lierb.kernels.numbers.arithmetic import any_lanes, branch, fma, maximum, where
 from lierb.kernels.numbers.vec import Vec, add, cross_add, mat_vec, neg, scale
@@ -71,30 +71,29 @@ class Projection(TreeAccelerations):
 
     def _violation(self, body: TreeConstants, chart: Charts, time: Any) -> Any:
         """Return the violation of the rows at a pose; see `Relatives.violation`."""
-        return self.relatives(body, self.motion_at(body, chart, None, time)).violation()
+        return self.relatives_at(body, chart, None, time).violation()
 
     def _newton_step(self, body: TreeConstants, chart: Charts, time: Any) -> Vec:
         """Return the Newton step onto all rows, in the algebra."""
-        motion = self.motion_at(body, chart, None, time)
-        relatives = self.relatives(body, motion)
+        relatives = self.relatives_at(body, chart, None, time)
         wanted = [-relatives.residual(number, row) for number, row in self.rows]
-        biases = [neg(self.off_joint(i, motion)) for i in range(len(self.plan.tree))]
-        return self._displaced(motion, relatives, wanted, biases)
+        count = len(self.plan.tree)
+        biases = [neg(self.off_joint(i, relatives.motion)) for i in range(count)]
+        return self._displaced(relatives, wanted, biases)
 
     def _onto_rows(self, body: TreeConstants, chart: Charts, velocity: Vec, time: Any) -> Vec:
         """Least change of the velocity such that it satisfies all rows."""
-        motion = self.motion_at(body, chart, velocity, time)
-        relatives = self.relatives(body, motion)
-        wanted = [-relatives.rate_error(number, r) for number, r in self.rows]
+        relatives = self.relatives_at(body, chart, velocity, time)
+        motion = relatives.motion
+        wanted = [-relatives.rate_error(number, row) for number, row in self.rows]
         biases = [
             neg(constrained_part(motion, i, relative)) for i, relative in enumerate(motion.relative)
         ]
-        return self._displaced(motion, relatives, wanted, biases)
+        return self._displaced(relatives, wanted, biases)
 
-    def _displaced(
-        self, motion: TreeMotion, relatives: Relatives, wanted: list[Any], biases: list[Vec]
-    ) -> Vec:
+    def _displaced(self, relatives: Relatives, wanted: list[Any], biases: list[Vec]) -> Vec:
         """Return the smallest motion, in the kinetic metric, with row components `wanted`."""
+        motion = relatives.motion
         rows = [each.on_still_ground() for each in self.equations(relatives, wanted)]
         violation = partial(self.violation_of, motion)
         solution = solved(bodies_of(motion, rows), rows, {}, biases, violation=violation)

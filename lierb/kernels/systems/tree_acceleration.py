@@ -30,7 +30,7 @@ from lierb.kernels.numbers.vec import (
 from lierb.kernels.numbers.zero import ZERO
 from lierb.kernels.systems.relatives import Relatives, constrained_part, length_of, size_of
 from lierb.kernels.systems.state import Rates, State
-from lierb.kernels.systems.tree_charts import TreeCharts
+from lierb.kernels.systems.tree_charts import Charts, TreeCharts
 from lierb.kernels.systems.tree_inputs import sixes
 
 
@@ -62,6 +62,12 @@ class TreeAccelerations(TreeCharts):
     def relatives(self, body: TreeConstants, motion: TreeMotion) -> Relatives:
         """Relative motion of the plan's connections."""
         return Relatives(self.plan.connections, body.ends, motion)
+
+    def relatives_at(
+        self, body: TreeConstants, chart: Charts, velocity: Vec | None, time: Any
+    ) -> Relatives:
+        """Relative motion at a chart; see `motion_at`."""
+        return self.relatives(body, self.motion_at(body, chart, velocity, time))
 
     def rates(self, body: TreeConstants, state: State, gravity: None, time: Any) -> Rates:
         chart, x, velocity, *_ = state

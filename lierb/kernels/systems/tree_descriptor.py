@@ -76,8 +76,8 @@ class TreeDescriptor(Descriptor):
         return constants.rigid.momentum(velocity)
 
     def applied(self, chart: Charts, velocity: Vec, time: Any) -> Applied:
-        motion = self.system.motion_at(self.body, chart, velocity, time)
-        relatives = self.system.relatives(self.body, motion)
+        relatives = self.system.relatives_at(self.body, chart, velocity, time)
+        motion = relatives.motion
         loads, power = self.system.applied(self.body, relatives)
         wrenches = []
         for i in range(len(self.nodes)):
@@ -99,7 +99,7 @@ class TreeDescriptor(Descriptor):
         )
 
     def constraints(self, chart: Charts, time: Any) -> Constraints:
-        relatives = self._relatives(chart, time)
+        relatives = self.system.relatives_at(self.body, chart, None, time)
         values: list[Any] = []
         jacobian: list[Vec] = []
         for number, connection in enumerate(self.plan.connections):
@@ -110,10 +110,6 @@ class TreeDescriptor(Descriptor):
             jacobian += (self._row(relatives.motion, equation) for equation in equations)
         rates = self._of_rows(relatives, lambda row, x, ends: row.prescribed_rate(x, ends))
         return Constraints(tuple(values), tuple(jacobian), rates, self.width)
-
-    def _relatives(self, chart: Charts, time: Any) -> Relatives:
-        motion = self.system.motion_at(self.body, chart, None, time)
-        return self.system.relatives(self.body, motion)
 
     def _of_rows(
         self, relatives: Relatives, number_of: Callable[[Row, Kinematics, HeldBody], Any]
@@ -137,9 +133,8 @@ class TreeDescriptor(Descriptor):
         constraints = self.constraints(chart, time)
         along = (value_of(v) for v in velocity)  # without parts if it is `lifted`
         turning = self.moved(chart, tuple(Dual(0.0 * v, (v,)) for v in along))
-        slopes = self._of_rows(
-            self._relatives(chart, time), lambda row, x, ends: row.prescribed_slope(x, ends)
-        )
+        relatives = self.system.relatives_at(self.body, chart, None, time)
+        slopes = self._of_rows(relatives, lambda row, x, ends: row.prescribed_slope(x, ends))
         bends = tuple(
             slope - sum(lifted(parts_of(dot(row, velocity))), start=ZERO)
             for row, slope in zip(self.constraints(turning, time).jacobian, slopes, strict=True)
