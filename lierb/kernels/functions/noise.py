@@ -33,21 +33,14 @@ ROUNDS = 10
 # ---- draws of users' functions -------------------------------------------------------------------
 
 
-class _Draws:
-    """Noise of one call of a controller, and the names that the call has drawn."""
-
-    def __init__(self, noise: Noise) -> None:
-        self.noise = noise
-        self.names: set[str] = set()
-
-
-_drawing: ContextVar[_Draws | None] = ContextVar("lierb_noise", default=None)
+# Noise of one call of a controller, and the names that the call has drawn.
+_drawing: ContextVar[tuple[Noise, set[str]] | None] = ContextVar("lierb_noise", default=None)
 
 
 @contextmanager
 def drawing(noise: Noise | None) -> Iterator[None]:
     """Let `normal` draw from `noise` within the context; None forbids draws."""
-    token = _drawing.set(None if noise is None else _Draws(noise))
+    token = _drawing.set(None if noise is None else (noise, set()))
     try:
         yield
     finally:
@@ -97,13 +90,14 @@ def normal(name: str, size: int | tuple[()] = ()) -> Any:
             "of @lierb.controller, which puts it out for others, or take lierb.noise.sample for a "
             "look at its numbers"
         )
-    if name in draws.names:
+    noise, drawn = draws
+    if name in drawn:
         raise UnfitFunctionError(
             f"it draws the noise {name!r} twice, which would be the same numbers; give each a name "
             "of its own, or draw all at once by a count"
         )
-    draws.names.add(name)
-    components = [UserNumber(x) for x in normals(draws.noise, name, count)]
+    drawn.add(name)
+    components = [UserNumber(x) for x in normals(noise, name, count)]
     return components[0] if size == () else numbers(components)
 
 

@@ -70,16 +70,15 @@ class Rows:
     def put(self, row: Index | int, *numbers: Any) -> None:
         """Store numbers in successive rows."""
         for i, number in enumerate(numbers):
-            members = _members(number, self.parts)[: 1 + self.parts]
-            for part, member in enumerate(members):
+            for part, member in enumerate(_members(number, self.parts)):
                 value = value_as(self.pack, plain(member))
                 place = self._at(self.start, row + i, part)
                 self.trace.builder.store(value, place, align=self.align)
 
 
 def _members(number: Any, count: int) -> tuple[Any, ...]:
-    """Return the value and the parts of a number, `count` zeros if it has none."""
-    return value_of(number), *(parts_of(number) or (0.0,) * count)
+    """Return the value and the first `count` parts of a number, zeros if it has none."""
+    return value_of(number), *(parts_of(number) or (0.0,) * count)[:count]
 
 
 def integer_at(table: Index, place: Index | int) -> Index:
@@ -113,7 +112,7 @@ def accumulated(
 
     def keep(numbers: Sequence[Any]) -> None:
         for places, size, x in zip(slots, sizes, numbers, strict=True):
-            for slot, member in zip(places, _members(x, size)[: 1 + size], strict=True):
+            for slot, member in zip(places, _members(x, size), strict=True):
                 builder.store(value_as(slot.type.pointee, member), slot)
 
     def kept() -> tuple[Any, ...]:
