@@ -22,6 +22,9 @@ pytest.importorskip("click")
 pytest.importorskip("matplotlib")
 
 from command import invoke
+from rich.table import Table
+
+from lierb.cli.terminal import print_whole
 
 # Runs `python -m lierb` where the modules named in the first argument cannot be imported.
 WITHOUT = """
@@ -384,3 +387,12 @@ def test_module_runs_as_a_command_and_survives_a_terminal_without_umlauts():
         command, capture_output=True, encoding="koi8-r", timeout=120, check=True, env=environment
     )
     assert "M?ller" in done.stdout
+
+
+def test_tables_print_names_and_units_with_brackets(capsys):
+    table = Table("force", "unit")
+    table.add_row("air[/x].drag[blue]", "[m/s]")
+    print_whole(table)
+    printed = capsys.readouterr().out
+    assert "air[/x].drag[blue]" in printed
+    assert "[m/s]" in printed

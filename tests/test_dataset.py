@@ -6,6 +6,7 @@ import errno
 import itertools
 import json
 import os
+import pickle
 import random
 import shutil
 import subprocess
@@ -204,6 +205,37 @@ def test_parquet_that_comes_meanwhile_is_told(tmp_path):
         lierb.run(small(), tmp_path, progress=put)
     (tmp_path / "summary" / "mine.parquet").unlink()
     lierb.run(small(), tmp_path, resume=True)
+
+
+@pytest.mark.parametrize("reason", ["threads", "stray", "study", "code"])
+def test_what_refuses_a_run_does_so_before_its_folder_is_overwritten(reason, copy, tmp_path):
+    given, options = small(sample={"seed": 7}), {}
+    if reason == "threads":
+        options["threads"] = 1000
+    elif reason == "stray":
+        pq.write_table(table_of(), copy / "summary" / "mine.parquet")
+    elif reason == "study":
+        (copy / "study.toml").write_text(study(sample={"n": 3}).to_toml())
+    else:
+        (tmp_path / "own.py").write_text(
+            "import lierb\n\n\n@lierb.observable\ndef height(r):\n    return r[2]\n"
+        )
+        (tmp_path / "s.toml").write_text(
+            given.to_toml() + '\n[[problem.observables]]\ntype = "python:own.py:height"\n'
+        )
+        (copy / "own.py").write_text("mine")
+        given = tmp_path / "s.toml"
+    before = hashes(copy)
+    with pytest.raises((ArgumentError, StudyError)):
+        lierb.run(given, copy, overwrite=True, **options)
+    assert hashes(copy) == before
+
+
+def test_errors_about_files_reach_the_process_that_waits_for_a_worker():
+    """`distributed` unpickles exceptions by the __new__ of their class."""
+    made = StudyFileError.__new__(StudyFileError, "no room")
+    assert isinstance(made, OSError)
+    assert str(pickle.loads(pickle.dumps(StudyFileError("no room")))) == "no room"
 
 
 def test_files_that_readers_skip_are_no_concern(copy, whole):

@@ -146,14 +146,18 @@ def test_observables_named_as_panels_of_the_motion_leave_these(problem, spun):
     assert titles(result.plot(motion, trajectories=0, problem=problem)) == expected
 
 
-def test_angle_of_a_hinge_counts_its_turns():
-    hinge = lierb.joints.revolute(axis=(0.0, 1.0, 0.0), body_point=(0.0, 0.0, 0.3))
+@pytest.mark.parametrize("save_every", [10, 50])  # 0.14 turns and 0.7 turns from row to row
+@pytest.mark.parametrize("kind", ["revolute", "screw"])
+def test_angle_of_a_joint_counts_its_turns(kind, save_every):
+    pitch = {"pitch": 0.1} if kind == "screw" else {}
+    make = getattr(lierb.joints, kind)
+    hinge = make(axis=(0.0, 1.0, 0.0), body_point=(0.0, 0.0, 0.3), **pitch)
     body = lierb.bodies.box((0.1, 0.2, 0.6), mass=1.0)
     wheel = lierb.Problem(body, hinge)  # no gravity: at a constant rate
-    result = integrate(wheel, twist0=hinge.twist(omega=(0.0, 9.0, 0.0)), dt=1e-2, t_end=2.0,
-                       save_every=10)  # fmt: skip
+    result = integrate(wheel, twist0=hinge.twist(velocities=9.0), dt=1e-2, t_end=2.0,
+                       save_every=save_every)  # fmt: skip
     figure = result.plot(["angles", "trace"])
-    assert titles(figure) == ["angle of the joint [rad]"]  # its axis leaves no trace
+    assert titles(figure)[0] == "angle of the joint [rad]"
     np.testing.assert_allclose(lines(figure.axes[0])[0], 9.0 * result.t, atol=1e-9)
 
 

@@ -363,6 +363,11 @@ def taken(t):
     return {"energy": t}
 
 
+@lierb.states(steps=0.0)
+def pedometer():
+    return {"steps": 3.0}
+
+
 @pytest.mark.parametrize(
     ("given", "message"),
     [
@@ -370,6 +375,7 @@ def taken(t):
         ({"states": [wheel_and_filter(tau=1.0), other_wheel()]}, "two are named wheel, of wheel_"),
         ({"states": [wheel_and_filter(tau=1.0), shouting()]}, "two are named torque, of shouting"),
         ({"states": [wheel_and_filter(tau=1.0), taken()]}, "energy, which is lierb's own"),
+        ({"states": [wheel_and_filter(tau=1.0), pedometer()]}, "steps, which is lierb's own"),
         ({"states": [wheel_and_filter(tau=1.0), observed_too()]}, "STORED, which is that of the"),
         ({"events": [landing(), landing()]}, 'two events are named landing.*named\\("…"\\)'),
         ({"states": ()}, "states has no wheel; it has nothing"),

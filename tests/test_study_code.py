@@ -634,3 +634,76 @@ def test_a_study_from_standard_input_has_no_python_files():
     told = "pointing.py cannot be found: a study from standard input or a pipe has no folder"
     assert told in " ".join(result.stderr.split())
     assert gettempdir() not in result.stderr
+
+
+# ---- problems made in Python -------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("quantity", ["body.com", "body.mass"])
+def test_an_inertia_about_the_centre_of_mass_stays_so_where_com_or_mass_is_drawn(quantity):
+    moments = (2.0, 2.5, 2.2)
+    body = lierb.Body(50.0, moments, com=(0.0, 0.0, 0.1), about="com")
+    drawn = {
+        "body.com": lierb.sampling.Normal((0.0, 0.0, 0.1), 0.02),
+        "body.mass": lierb.sampling.Uniform(40.0, 60.0),
+    }[quantity]
+    design = lierb.sampling.Design({quantity: drawn}, n=4, seed=1)
+    problem = lierb.Problem(body, lierb.joints.free())
+    made = lierb.study_of(problem, design, dt=0.01, t_end=0.1).batch(0, 4).problem.body
+    expected = lierb.Body(made.mass, moments, com=made.com, about="com")
+    assert np.array_equal(np.broadcast_to(made.inertia, expected.inertia.shape), expected.inertia)
+
+
+def test_rows_of_the_users_with_the_name_of_a_joint_stay_theirs():
+    own = lierb.joints.from_rows(["d1", "d2", "d3"], name="revolute", body_point=(0, 0, 0.15))
+    problem = lierb.Problem(lierb.bodies.box((0.1, 0.2, 0.3), mass=1.0), own)
+    design = lierb.sampling.Design({"body.mass": lierb.sampling.Uniform(1.0, 2.0)}, n=2)
+    made = lierb.study_of(problem, design, dt=0.01, t_end=0.1).batch(0, 2).problem
+    assert made.rows == problem.rows
+
+
+def test_a_line_of_a_function_names_no_trajectory(tmp_path):
+    code = """\
+import lierb
+
+
+@lierb.constraint
+def on_line(R, r):
+    return r[2] - 0.1 * R[9, 0]
+"""
+    text = TEXT[: TEXT.index("[[problem.forces]]")] + TEXT[TEXT.index("[sample]") :]
+    text = text.replace("[sample.forces.controller.damping]", "[sample.body.mass]")
+    text += '\n[[problem.constraints]]\ntype = "python:attitude.py:on_line"\n'
+    folder = written(tmp_path / "study", text, code)
+    with pytest.raises(StudyError, match="on_line") as told:
+        lierb.run(folder / "study.toml", tmp_path / "out")
+    assert "return r[2] - 0.1" in str(told.value)
+    assert "trajectory" not in str(told.value)
+
+
+@pytest.mark.filterwarnings("ignore::lierb.errors.ScalarFunctionWarning")
+def test_what_a_function_raised_reaches_the_reader_of_a_study(tmp_path):
+    code = """\
+import lierb
+
+
+@lierb.wrench
+def controller(t, R, r, omega, v, params):
+    if t > 1.0:
+        raise ValueError("the table ends at 1 s")
+    return (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
+
+
+@lierb.observable
+def pointing_error(r):
+    return r[2]
+"""
+    text = TEXT.replace("most = 0.1\n", "").replace("n = 40", "n = 4")
+    text = text.replace("[sample.forces.controller.damping]", "[sample.body.mass]")
+    folder, out = written(tmp_path / "study", text, code), tmp_path / "out"
+    with pytest.warns(UserWarning, match="raised"):
+        dataset = lierb.run(folder / "study.toml", out)
+    assert "the table ends at 1 s" in str(dataset.failures())
+    shown = invoke("run", folder / "study.toml", "--out", out, "--only", 2, "--seed", 5)
+    assert "the table ends at 1 s" in shown.stdout
+    assert "has results of another study" in " ".join(shown.stderr.split())

@@ -71,6 +71,7 @@ def convergence(
     solver: str = "auto",
     stabilise: str | Stabilisation | None = None,
     measure_every: int = 1,
+    discontinuities: ArrayLike | None = None,
     seed: int = 0,
     reference: Any = None,
     norm: str = "largest",
@@ -112,6 +113,8 @@ def convergence(
         As in `integrate`.
     measure_every : int, optional
         Number of steps between samples of the drifts.
+    discontinuities : array_like, shape (k,), optional
+        Times at which functions of time jump, s, as in `integrate`.
     seed : int, optional
         Seed of `lierb.noise`.
     reference : Result, dict or pair of poses and twists, optional
@@ -167,7 +170,7 @@ def convergence(
     _check(atol, tolerances, norm, repeats, name, progress)
     common = {
         "update": update, "solver": solver, "stabilise": stabilise, "seed": seed,
-        "measure_every": measure_every,
+        "measure_every": measure_every, "discontinuities": discontinuities,
     }  # fmt: skip
     case = Case(model, pose0, twist0, t0, t_end, common, norm, repeats)
     runs = [

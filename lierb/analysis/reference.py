@@ -194,7 +194,7 @@ def found_reference(case: Case, dts: list[float], tell: Callable[[str], None]) -
 
     def ends_of(cspace: str, steps: int) -> Ends:
         tell(f"reference: {cspace}, {METHOD}, dt = {length / steps:g} s")
-        common = {name: case.common[name] for name in ("stabilise", "seed")}
+        common = {name: case.common[name] for name in ("stabilise", "seed", "discontinuities")}
         options = Options.of(
             case.model, t0=case.t0, t_end=case.t_end, dt=length / steps, method=METHOD,
             cspace=cspace, measure_every=steps, **common,

@@ -120,6 +120,7 @@ def compare(
             batch.problem, methods or run.method, **control, cspaces=cspaces or run.cspace,
             twist0=batch.twist0, pose0=batch.pose0, t_end=run.t_end, t0=run.t0, update=run.update,
             solver=run.solver, stabilise=loaded.stabilise, measure_every=run.measure_every,
+            discontinuities=run.discontinuities,
             seed=loaded.sample.seed if batch.problem.controllers else 0, norm=norm,
             repeats=repeats, name=name, progress=progress,
         )  # fmt: skip

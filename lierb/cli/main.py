@@ -22,6 +22,7 @@ from lierb.support.representations import counted, rounded
 
 if TYPE_CHECKING:
     from rich.table import Table
+    from rich.text import Text
 
     from lierb.analysis.paper import Finding, PaperReport
 
@@ -254,9 +255,15 @@ def _error_cells(findings: list[Finding]) -> list[list[str]]:
     ]
 
 
-def _judgement_cells(findings: list[Finding]) -> list[list[str]]:
+def _judgement_cells(findings: list[Finding]) -> list[list[str | Text]]:
     """Return the cells of each error: name, observed order, verdict, claim, agreement."""
-    agreement = {True: "[green]yes[/]", False: "[bold red]NO[/]", None: "–"}
+    from rich.text import Text
+
+    agreement: dict[bool | None, str | Text] = {
+        True: Text("yes", "green"),
+        False: Text("NO", "bold red"),
+        None: "–",
+    }
     return [
         [
             finding.quantity[:3],

@@ -16,7 +16,7 @@ from lierb.errors import StudyError
 from lierb.studies.description.changes import parsed, written
 from lierb.studies.description.shipped import example as text_of
 from lierb.studies.description.shipped import examples
-from lierb.studies.description.sources import STUDY, as_file, folder_by, is_copied
+from lierb.studies.description.sources import MANIFEST, STUDY, as_file, folder_by, is_copied
 from lierb.support.collected_warnings import warnings_collected
 from lierb.support.extras import require
 from lierb.support.files import folder_of, naming, parquet, write_whole
@@ -316,8 +316,17 @@ def predict(study: Path, changes: Changes) -> None:
 
 def _replay(study: Study, folder: Path, trajectory: int, threads: int | None) -> None:
     """Integrate a trajectory; write its histories, and print its summaries and events."""
+    from lierb.results.failures import Failures
     from lierb.studies.execution.replaying import replay
+    from lierb.studies.storage.manifest import read_manifest
 
+    manifest = folder / MANIFEST
+    if manifest.exists() and read_manifest(manifest)["digest"] != study.digest():
+        other = (
+            f"{folder} has results of another study, or with other changes: the trajectory is none "
+            f"of them; {_again(folder, '--only', str(trajectory))} replays theirs"
+        )
+        click.secho(wrapped(other), fg="yellow", err=True)
     click.echo(
         f"Integrating trajectory {trajectory}; the first time, its code is compiled ...",
         err=True,
@@ -327,6 +336,8 @@ def _replay(study: Study, folder: Path, trajectory: int, threads: int | None) ->
         write_whole(path, parquet(tables["history"]))
         (row,) = tables["summary"].to_pylist()
         click.echo(f"{setting.label}: {row['status']}, history in {path}")
+        if failed := Failures.of(tables["summary"]):
+            click.echo(f"  {failed}")
         for name, value in row.items():
             if isinstance(value, float):
                 click.echo(f"  {name:27} {value!r}")

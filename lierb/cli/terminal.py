@@ -19,8 +19,9 @@ def print_whole(table: Table) -> None:
     """Print a table; a narrow window wraps its lines, but cuts no number."""
     from rich.console import Console
 
-    console = Console(highlight=False)
-    console.width = max(console.width, Console(width=1000).measure(table).maximum)
+    console = Console(highlight=False, markup=False)  # names and units may have brackets
+    wide = Console(width=1000, markup=False)
+    console.width = max(console.width, wide.measure(table).maximum)
     console.print(table)
 
 

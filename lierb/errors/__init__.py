@@ -61,6 +61,8 @@ class StudyError(LierbError):
 class StudyFileError(StudyError, OSError):
     """A file of a study's results cannot be read or written, as on a full disk."""
 
+    __new__ = OSError.__new__  # type: ignore[assignment]  # else `distributed` cannot unpickle it
+
 
 class TimeGridError(LierbError):
     """dt, t_end, save_every or measure_every do not make a time grid."""

@@ -6,12 +6,14 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lierb.model.joints.coordinates import motions_of
+from lierb.model.joints.joint import Joint
 from lierb.model.joints.motions import TURNS
 from lierb.model.mechanism.mechanism import Mechanism
 from lierb.model.problem import Problem
-from lierb.results.states import RunStates, poses_of
+from lierb.results.states import RunStates, States, poses_of
 from lierb.support.arrays import Array
 from lierb.support.representations import with_unit
 
@@ -74,29 +76,28 @@ class Coordinates:
         for link in self.mechanism.links:
             names = [] if motions_of(link.joint) is None else link.joint.coordinate_names
             for i, name in enumerate(names):
-                values = self._coordinates[link.name][..., i]
+                values, rates = (each[link.name][..., i] for each in self._coordinates)
                 is_length = name[0] in "ds"
                 if not is_length and name not in TURNS:
-                    values = np.unwrap(values, axis=0)
+                    values = _with_turns(link.joint, values, rates, self.result.t)
                 label = link.name if len(names) == 1 else f"{link.name} {name}"
                 made.append((label, "m" if is_length else "rad", values))
         return made
 
     @cached_property
-    def _coordinates(self) -> dict[str, Array]:
-        """Return the coordinates of each link, (times, trajectories, k); NaN after a failure."""
+    def _coordinates(self) -> tuple[dict[str, Array], dict[str, Array]]:
+        """Return coordinates and rates by link, (times, trajectories, k); NaN after a failure."""
         poses = {name: poses_of(self.result[name]) for name in self.mechanism.names}
+        twists = {name: _twists_of(self.result[name]) for name in self.mechanism.names}
         lost = np.any([~np.isfinite(pose).all(axis=(2, 3)) for pose in poses.values()], axis=0)
-        for pose in poses.values():
-            pose[lost] = np.eye(4)
-        each = [
-            self.mechanism.coordinates({name: pose[k] for name, pose in poses.items()})
-            for k in range(len(lost))
-        ]
-        arrays = {name: np.stack([at[name] for at in each]) for name in each[0]}
-        for values in arrays.values():
-            values[lost] = np.nan
-        return arrays
+        for name, pose in poses.items():
+            pose[lost], twists[name][lost] = np.eye(4), 0.0
+        values, rates = [], []
+        for k in range(len(lost)):
+            at, moving = ({name: x[k] for name, x in each.items()} for each in (poses, twists))
+            values.append(self.mechanism.coordinates(at))
+            rates.append(self.mechanism.velocities(moving, at))
+        return _stacked(values, lost), _stacked(rates, lost)
 
 
 class State:
@@ -121,8 +122,9 @@ class State:
             names = self.problem.joint.coordinate_names
             if "phi" not in names:
                 return None  # the body does not turn
-            turns = self._coordinates()[..., names.index("phi")]
-            return Panel("angle of the joint", "rad", (Series("φ", np.unwrap(turns, axis=0)),))
+            angles, rates = (each[..., names.index("phi")] for each in self._coordinates())
+            turns = _with_turns(self.problem.joint, angles, rates, self.result.t)
+            return Panel("angle of the joint", "rad", (Series("φ", turns),))
         if np.ptp(np.nan_to_num(self.rotation - self.rotation[:1])) == 0.0:
             return None
         axis, up, _ = self._axis()
@@ -165,15 +167,16 @@ class State:
         series = tuple(Series(f"ω{SUBSCRIPTS[i]}", omega[..., i]) for i in range(3))
         return Panel("angular velocity", "rad/s", series)
 
-    def _coordinates(self) -> Array:
-        """Return the joint's coordinates, (times, trajectories, k); NaN after a failure."""
+    def _coordinates(self) -> tuple[Array, Array]:
+        """Return coordinates and rates, (times, trajectories, k); NaN after a failure."""
         assert self.problem is not None
-        joint, poses = self.problem.joint, poses_of(self.result)
+        joint, poses, twists = self.problem.joint, poses_of(self.result), _twists_of(self.result)
         lost = ~np.isfinite(poses).all(axis=(2, 3))
-        poses[lost] = np.eye(4)
-        angles = np.stack([joint.coordinates(each) for each in poses])
-        angles[lost] = np.nan
-        return angles
+        poses[lost], twists[lost] = np.eye(4), 0.0
+        values = np.stack([joint.coordinates(each) for each in poses])
+        rates = np.stack([joint.velocities(*each) for each in zip(twists, poses, strict=True)])
+        values[lost] = rates[lost] = np.nan
+        return values, rates
 
     def _axis(self) -> tuple[Array, Array, str]:
         """Return the body's axis, (times, trajectories, 3), the vertical, and the axis's name.
@@ -206,3 +209,27 @@ def _across(up: Array) -> tuple[Array, Array]:
     a = start - (start @ up) * up
     a /= np.linalg.norm(a)
     return a, np.cross(up, a)
+
+
+def _twists_of(states: States) -> Array:
+    return np.concatenate([states.omega, states.v], axis=-1)
+
+
+def _stacked(each: list[dict[str, Array]], lost: NDArray[np.bool_]) -> dict[str, Array]:
+    """Return arrays (times, trajectories, k), NaN in lost rows, of those at each time."""
+    arrays = {name: np.stack([at[name] for at in each]) for name in each[0]}
+    for values in arrays.values():
+        values[lost] = np.nan
+    return arrays
+
+
+def _with_turns(joint: Joint, angles: Array, rates: Array, times: Array) -> Array:
+    """Add the whole turns that a joint has made; angles between saved times go by the mean rate.
+
+    The angles of a screw with a pitch have them.   angles, rates : (times, trajectories).
+    """
+    steps = np.diff(angles, axis=0)
+    means = 0.5 * (rates[1:] + rates[:-1]) * np.diff(times)[:, None]
+    turns = 2.0 * np.pi * np.rint((means - steps) / (2.0 * np.pi))
+    total = np.cumsum(np.where(joint.pitch == 0.0, turns, 0.0), axis=0)
+    return np.concatenate([angles[:1], angles[1:] + total])

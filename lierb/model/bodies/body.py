@@ -74,6 +74,7 @@ class Body(Represented):
     mass: Array
     inertia: Array
     com: Array
+    _given: tuple[Array, str]  # inertia as it was given, and `about`
 
     @explains_keywords(BODY_ARGUMENTS, "lierb.Body")
     def __init__(
@@ -100,20 +101,28 @@ class Body(Represented):
         for body, label in first_bad("mass", masses <= 0.0):
             raise InertiaError(f"{label} is {masses.flat[body]} kg; expected a positive mass")
         moments = _checked_symmetric(moments)
+        given = moments, about
         if about == "com":
             moments = moved_inertia(masses, moments, centre, 1.0)
         _check_physical(masses, moments, centre, about)
         _check_gyration(masses, moments)
         moments.setflags(write=False)
-        for name, value in (("mass", masses), ("inertia", moments), ("com", centre)):
+        numbers = {"mass": masses, "inertia": moments, "com": centre, "_given": given}
+        for name, value in numbers.items():
             object.__setattr__(self, name, value)
 
     def of(self, which: Which) -> Body:
         """Return one body of the batch, or part of the batch."""
-        inertia = items_at(self.inertia, which, 2)
+        given, about = self._given
+        inertia = items_at(given, which, 2)
         if inertia.ndim == 2 and not isinstance(which, int):
             inertia = inertia[None]  # without it, a part of three bodies would be ambiguous
-        return Body(items_at(self.mass, which), inertia, items_at(self.com, which, 1))
+        com = items_at(self.com, which, 1)
+        return Body(items_at(self.mass, which), inertia, com, about=about)
+
+    def as_given(self) -> tuple[Array, str]:
+        """Return the inertia as it was given, (3, 3) or (n, 3, 3), and the point `about`."""
+        return self._given
 
     def _representation(self) -> tuple[str, Lines]:
         count = batch_size(mass=self.mass, inertia=(self.inertia, 2), com=(self.com, 1)) or 1

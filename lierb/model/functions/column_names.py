@@ -21,13 +21,14 @@ COMPONENTS = {  # suffixes of the components of vectors in data frames
     "v": AXES,
     "reaction": tuple(f"{what}_{i}" for what in ("torque", "force") for i in AXES),
 }
-COUNTS = ("trajectory", "step", "t", "status")
-SETTING = ("cspace", "method", "dt")  # columns of a study
+OF_A_ROW = ("trajectory", "step", "t", "event", "status")
+OF_STEPS = ("steps", "rejected", "dt_last", "iterations")
+SETTING = ("cspace", "method", "dt", "rtol")  # columns of a study
 MULTIPLIERS = "lambda"
 
 
 def _taken() -> Iterator[str]:
-    yield from (*COUNTS, *SETTING, MULTIPLIERS, "reaction")
+    yield from (*OF_A_ROW, *OF_STEPS, *SETTING, MULTIPLIERS, "reaction")
     yield from (field.name for field in POSE_AND_TWIST.fields)
     yield from (measure.name for measure in MEASURES)
     yield from (f"{measure.name}_{how}" for measure, how in KEPT)

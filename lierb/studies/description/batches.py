@@ -243,7 +243,8 @@ def _started_mechanism(
 
 def _of_trajectory(message: str, draws: Mapping[str, Array], first: int, count: int) -> str:
     index = r"\[(\d+)\]" if count > 1 else "()"  # numbers of a single body have none
-    parts = re.match(rf"([\w.]+): (.*?)(\w+){index}(.*)", message, re.DOTALL)
+    # Indices within quotation marks are those of a function's source.
+    parts = re.match(rf'([\w.]+): ([^"]*?)(\w+){index}(.*)', message, re.DOTALL)
     is_of_all = message.endswith(NOT_FINITE) or " has shape " in message
     if parts is None or parts[3] in ELEMENTS or is_of_all:
         return message

@@ -202,15 +202,18 @@ def _body(prefix: str, body: Body, design: Design) -> dict[str, Any]:
     if any(com):
         tables["com"] = com
     if f"{prefix}body.second_moments" not in design.quantities:
-        inertia = np.array(_one(f"{prefix}inertia", body.inertia, 2))
+        given, about = body.as_given()
+        inertia = np.array(_one(f"{prefix}inertia", given, 2))
         moments = inertia.diagonal()
         is_principal = np.array_equal(inertia, np.diag(moments))
         tables["inertia"] = (moments if is_principal else inertia).tolist()
+        if about == "com":
+            tables["about"] = about
     return tables
 
 
 def _joint(prefix: str, joint: Joint, design: Design) -> dict[str, Any]:
-    tables: dict[str, Any] = {"type": joint.name if joint.name in JOINTS else "from_rows"}
+    tables: dict[str, Any] = {"type": joint.name if _is_in_catalogue(joint) else "from_rows"}
     on_body = np.array(_one(f"{prefix}body_frame", joint.body_frame, 2))
     on_ground = np.array(_one(f"{prefix}ground_frame", joint.ground_frame, 2))
     tables |= _frames(prefix, joint, on_body, on_ground, design)
@@ -221,6 +224,11 @@ def _joint(prefix: str, joint: Joint, design: Design) -> dict[str, Any]:
     return tables
 
 
+def _is_in_catalogue(joint: Joint) -> bool:
+    """Return False for the joint of a user's rows, whatever its name."""
+    return joint.name in JOINTS and joint.rows == JOINTS[joint.name].rows
+
+
 def _frames(
     prefix: str, joint: Joint, on_body: Array, on_ground: Array, design: Design
 ) -> dict[str, Any]:
@@ -229,7 +237,7 @@ def _frames(
     Of a joint with points that are drawn, the frames.
     """
     drawn = [point for point in POINTS if f"{prefix}joint.{point}" in design.quantities]
-    if joint.name in JOINTS and not drawn:
+    if _is_in_catalogue(joint) and not drawn:
         points = {"body_point": on_body[:3, 3], "ground_point": on_ground[:3, 3]}
         chosen = {name: point.tolist() for name, point in points.items() if point.any()}
         sizes = {name: getattr(joint, name) for name in parameters_of(joint.rows)}

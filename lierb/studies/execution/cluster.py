@@ -50,12 +50,10 @@ def spread(
 
     A part whose worker dies is submitted again. With `gather` the files are sent to this process.
     """
-    _be_quiet()
     place = None if gather else (store.folder.resolve(), (store.folder / STUDY).read_bytes())
     tasks = _Tasks(client, study, iter(parts), place, threads)
     differing: set[str] = set()
     try:
-        _require_workers(client)
         tasks.submit(stopping)
         while tasks.submitted:
             for future in _finished(client, list(tasks.submitted)):
@@ -69,8 +67,7 @@ def spread(
         if not _is_lost(client, error):
             raise
         tasks.submitted.clear()
-        lost = f"the connection to the cluster was lost ({type(error).__name__}); {KEPT}"
-        raise StudyError(lost) from None
+        raise _lost(error) from None
     finally:
         tasks.cancel()
         for differences in differing:
@@ -179,6 +176,10 @@ def _is_lost(client: Client, error: Exception) -> bool:
     return client.status != "running" or isinstance(error, signs)
 
 
+def _lost(error: Exception) -> StudyError:
+    return StudyError(f"the connection to the cluster was lost ({type(error).__name__}); {KEPT}")
+
+
 class NoAnswer(Exception):
     """The connected scheduler does not answer."""
 
@@ -232,7 +233,9 @@ def _require_same_folder(folder: Path, study: bytes) -> None:
 # ---- at home -----------------------------------------------------------------------------------
 
 
-def _require_workers(client: Client) -> None:
+def require_workers(client: Client) -> None:
+    """Raise StudyError for a cluster without workers, or whose workers cannot load lierb."""
+    _be_quiet()
     try:
         client.wait_for_workers(1, timeout=CONNECT_SECONDS)
     except TimeoutError:
@@ -243,7 +246,7 @@ def _require_workers(client: Client) -> None:
         client.run(machine)
     except Exception as error:  # a failed import there raises many types
         if _is_lost(client, error):
-            raise
+            raise _lost(error) from None
         raise StudyError(
             "the scheduler or a worker cannot load lierb, which it needs as this process does "
             f"(installed here by {remedy('cluster')}): {error}"

@@ -55,7 +55,9 @@ def opened(
     parts = Parts(study)
     if store.exists():
         store.read()
-    if overwrite:
+    if overwrite:  # what would refuse the run afterwards does so before anything is deleted
+        unentered(store, parts if store.manifest.get("digest") == study.digest() else None)
+        store.require_place(study)
         store.clear()
     adds_bodies = _adds_bodies(store, study, parts)
     if resume and adds_bodies:

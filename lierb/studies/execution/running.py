@@ -13,13 +13,14 @@ from lierb.errors import ArgumentError, StudyError
 from lierb.model.mechanism.mechanism import Mechanism
 from lierb.model.problem import Problem
 from lierb.results.failures import warn_of
+from lierb.runs.threads import threads_for
 from lierb.sampling import Design
 from lierb.studies.dataset import Dataset
 from lierb.studies.description.code import is_loading
 from lierb.studies.description.from_python import NAMELESS, study_of
 from lierb.studies.description.study import Study
 from lierb.studies.description.study_file import plain_changes
-from lierb.studies.execution.cluster import spread
+from lierb.studies.execution.cluster import require_workers, spread
 from lierb.studies.execution.foreseen import warn_before
 from lierb.studies.execution.opening import loaded, opened, unentered
 from lierb.studies.execution.order import InTurn
@@ -175,6 +176,10 @@ def run(
     study, out = _study_and_folder(study, design, out, settings)
     given, text = loaded(study, changes)
     warn_before(given, stacklevel=3)
+    if client is None:
+        threads_for(threads, 1)  # raises for wrong threads, before `overwrite` deletes anything
+    else:
+        require_workers(client)
     store = Store(out)
     with store.locked():
         parts = opened(store, given, text, changes, resume, overwrite)

@@ -54,16 +54,18 @@ def _draw_errors(
     zeros, ends = [], []
     for look in shown:
         times, bands = quantiles_over_time(dataset, name, look.setting, PROBABILITIES, np.abs)
-        if times.size < 2:
+        later = times > dataset.study.integrate.t0  # at the start there is no error yet
+        times, bands = times[later], bands[:, later]
+        if not times.size:
             continue
-        times, bands = times[1:], bands[:, 1:]  # at the start there is no error yet
         if np.nanmax(bands[3], initial=0.0) <= least:
             if np.isfinite(bands[3]).any():
                 zeros.append(look.key.label)
             continue
         low, median, high, most = positive(bands, least)
         colour, dash = look.key.colour, look.key.dash
-        panel.plot(times, median, color=colour, linestyle=dash, linewidth=look.width)
+        mark = "o" if times.size == 1 else ""
+        panel.plot(times, median, mark, color=colour, linestyle=dash, linewidth=look.width)
         bottom = np.where(np.isnan(low), np.nanmin(positive(bands, least)), low)
         panel.fill_between(times, bottom, high, color=colour, alpha=0.18, linewidth=0)
         panel.plot(times, most, color=colour, linestyle=dash, linewidth=0.6, alpha=0.8)

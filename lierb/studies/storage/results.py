@@ -215,7 +215,14 @@ class Results(Represented):
         (row,) = table.head(1, columns=columns, filter=~IS_SUCCESS).to_pylist()
         setting, first = Setting.of_row(row), {name: row[name] for name in COLUMNS}
         counts = sum((Counter(failed) for _, failed in failing), Counter())
-        return Failures(self.trajectories, dict(counts), **first, setting=setting.label)
+        raised = None
+        for path in [path for path, failed in failing if "raised" in failed][:1]:
+            self._require_whole([path])
+            found = Failures.of(pq.read_table(self.folder / path))
+            raised = found.raised if found else None
+        return Failures(
+            self.trajectories, dict(counts), **first, setting=setting.label, raised=raised
+        )
 
     def _summaries(self) -> Iterator[tuple[str, dict[str, Any]]]:
         """Yield the files of the summary, setting by setting, and their entries in the manifest."""

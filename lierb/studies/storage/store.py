@@ -95,8 +95,7 @@ class Store(Results):
         parts of this one, none by default. Files of the earlier study are replaced. Raises
         StudyError for a study.toml or Python file of the user's that differs.
         """
-        begun = self.manifest.get("code", {}) | {STUDY: self.manifest.get("text")}
-        self.drop([f for f, sha256 in begun.items() if sha256 == sha256_of(self.folder / f)])
+        self.drop(self._replaced())
         missing = self._missing_code(study.code_digests)
         is_there = self.study_text(study.digest()) is not None
         self.manifest = {
@@ -114,6 +113,18 @@ class Store(Results):
             self.write(file, study.code[file].encode())
         if not is_there:
             self.write(STUDY, text.encode())
+
+    def require_place(self, study: Study) -> None:
+        """Raise StudyError for a study.toml or Python file of the user's, as `begin` would."""
+        replaced = self._replaced()
+        self._missing_code({f: d for f, d in study.code_digests.items() if f not in replaced})
+        if STUDY not in replaced:
+            self.study_text(study.digest())
+
+    def _replaced(self) -> list[str]:
+        """List the study.toml and Python files of an earlier run that nobody has edited since."""
+        begun = self.manifest.get("code", {}) | {STUDY: self.manifest.get("text")}
+        return [f for f, sha256 in begun.items() if sha256 == sha256_of(self.folder / f)]
 
     def restore_code(self, code: Code) -> list[str]:
         """Write the missing Python files of the study; return their names.
