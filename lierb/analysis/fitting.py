@@ -261,6 +261,7 @@ def _report(task: Task, solution: Any, evaluations: int, sides: Array, refusal: 
     differences, chi2, freedoms = task.differences(result), task.chi2, task.data.size - told.rank
     scale = 1.0 if task.data.has_sigma else chi2 / freedoms if freedoms else np.nan
     covariance, deviations = of_numbers(told, unknowns.spread, scale)
+    covariance, labels = unknowns.as_given(covariance)
     residuals = {
         column.quantity.name: np.where(column.present, off, np.nan)
         for column, off in zip(task.data.columns, differences, strict=True)
@@ -275,7 +276,7 @@ def _report(task: Task, solution: Any, evaluations: int, sides: Array, refusal: 
     is_minimum = has_ended and task.is_minimum(sides == 0.0)
     return Fit(
         estimate=unknowns.estimate, standard_errors=unknowns.by_parameter(deviations),
-        covariance=covariance, labels=unknowns.labels,
+        covariance=covariance, labels=labels,
         unidentifiable=described_directions(
             unknowns, told, unknowns.spread, unknowns.all_values
         ),

@@ -183,6 +183,7 @@ def _report(experiments: Experiments, ends: Minimisation) -> Fits:
     if not experiments.data.has_sigma:
         scale = np.where(freedoms > 0, chi2 / np.maximum(freedoms, 1), np.nan)
     covariance, deviations = of_numbers(told, unknowns.spread, scale)
+    covariance, labels = unknowns.as_given(covariance)
     deviations[~has_run] = np.nan
     estimate = unknowns.estimate
     for array in estimate.values():
@@ -191,7 +192,7 @@ def _report(experiments: Experiments, ends: Minimisation) -> Fits:
     model: Any = varied.model
     return Fits(
         estimate=estimate, standard_errors=unknowns.by_parameter(deviations),
-        covariance=covariance, labels=unknowns.labels, has_sigma=experiments.data.has_sigma,
+        covariance=covariance, labels=labels, has_sigma=experiments.data.has_sigma,
         chi2=chi2, freedoms=freedoms, converged=ends.converged, status=ends.reasons,
         iterations=ends.iterations, not_told=not_told,
         unidentifiable=_directions(unknowns, state, not_told),

@@ -318,6 +318,22 @@ class Unknowns:
 
     # ---- by parameter --------------------------------------------------------------------------
 
+    def as_given(self, covariance: Array) -> tuple[Array, tuple[str, ...]]:
+        """Return a covariance of all numbers, and their labels, in the order of the parameters.
+
+        Starts of several trajectories stay last.
+        """
+        order = list(range(len(self.labels)))
+        if self.count == 1:
+            behind = {
+                name: slice(self.number_count + part.start, self.number_count + part.stop)
+                for name, part in self.start_parts.items()
+            }
+            places = self.slices | behind
+            order = [i for p in self.variation.parameters for i in order[places[p.name]]]
+        labels = tuple(self.labels[i] for i in order)
+        return covariance[..., order, :][..., order], labels
+
     @property
     def estimate(self) -> dict[str, Array]:
         """Return the numbers of each parameter at the base, with an axis for trajectories."""
