@@ -29,7 +29,7 @@ from lierb.results.result import Result
 from lierb.results.sensitivities import Untabled, sensitivities
 from lierb.results.tables import events_table, history_table, no_room, require_memory, summary_table
 from lierb.runs import engine
-from lierb.runs.continuation import End
+from lierb.runs.continuation import End, continuation_of
 from lierb.runs.derivatives import Derivatives, integrate_with_derivatives, require_differentiable
 from lierb.runs.options import Options
 from lierb.runs.output import Output
@@ -290,6 +290,13 @@ def integrate_model(
     prepared = ready(model, options, pose0, twist0)
     require_memory(prepared)
     if parameters:
+        known = continuation_of(pose0)
+        if prepared.before is None and known is not None and known.derivatives is not None:
+            raise ArgumentError(
+                f"{argument}: pose0 is the end of a run with derivatives, which go on with "
+                "result.end as it is alone; begin with a copy of its poses, pose0=pose0.copy(), "
+                "and apply the chain rule"
+            )
         require_differentiable(prepared, parameters, argument)
         warn_of_switches(model, stacklevel=stacklevel + 1)
     warn_of_stiff_steps(prepared, stacklevel=stacklevel + 1)

@@ -68,6 +68,15 @@ class Continuation:
             and (is_one or _have_equal_controllers(model, self.model))
         )
 
+    def keeps_sides(self, model: Model) -> bool:
+        """Return True if events of a model begin on the sides that they had at the end."""
+        events = model.events, self.model.events
+        return model is self.model or (
+            _have_equal_forces(model, self.model)
+            and len(events[0]) == len(events[1])
+            and all(map(_is_same, *events))
+        )
+
     def clock_of(self, clock: StepClock) -> StepClock:
         """Return the clock of fixed steps from here; equal steps continue the count."""
         return StepClock(*clock[:4], *self._origin(clock.dt))
@@ -83,27 +92,29 @@ class Continuation:
                 return span.origin, round((span.end - span.origin) / dt)
         return counted(self.t0, dt)
 
-    def state_of(self, plan: AnyPlan, dt: float) -> Array:
-        """Return the state that a new run with this plan and step dt, s, continues from."""
-        return self._columns_of(plan, dt, self.state)
+    def state_of(self, model: Model, plan: AnyPlan, dt: float) -> Array:
+        """Return the state that a new run of a model, with a step dt, s, continues from."""
+        return self._columns_of(model, plan, dt, self.state)
 
-    def parts_of(self, plan: AnyPlan, dt: float, names: Iterable[str]) -> Array:
+    def parts_of(self, model: Model, plan: AnyPlan, dt: float, names: Iterable[str]) -> Array:
         """Return the derivatives of `state_of` by some parameters, [column][direction][body]."""
         assert self.derivatives is not None
         known, parts = self.derivatives
         own = [parts[:, known[name]] for name in names]
-        return self._columns_of(plan, dt, np.concatenate(own, axis=1))
+        return self._columns_of(model, plan, dt, np.concatenate(own, axis=1))
 
-    def _columns_of(self, plan: AnyPlan, dt: float, columns: Array) -> Array:
+    def _columns_of(self, model: Model, plan: AnyPlan, dt: float, columns: Array) -> Array:
         """Return `end_columns` of another plan from those of this one; NaN for those it lacks.
 
-        What the method carries goes on with the same method and step dt, s, alone.
+        What the method carries goes on with the same method, step dt, s, and forces alone.
         """
         before, after = lane_end(self.plan), lane_end(plan)
         has_its_rows = plan.rows == self.plan.rows
         known, own = len(state_columns(self.plan)), len(state_columns(plan))
         carried = plan.carried
         goes_on = plan.method == self.plan.method and has_its_rows and dt == self._dt
+        if carried and model is not self.model:
+            goes_on = goes_on and _have_equal_forces(model, self.model)
         is_whole = known == own and (goes_on or not carried)
         if after.fields == before.fields and has_its_rows and is_whole:
             return columns
@@ -180,6 +191,17 @@ def _have_equal_joints(a: Model, b: Model) -> bool:
         )
         and len(constraints[0]) == len(constraints[1])
         and all(map(_is_same, *constraints))
+    )
+
+
+def _have_equal_forces(a: Model, b: Model) -> bool:
+    """Return True if gravity and all elements that may act are equal."""
+    passive = {id(element) for m in (a, b) for element in (*m.events, *m.observables)}
+    acting = [[e for e in m.elements if id(e) not in passive] for m in (a, b)]
+    return (
+        np.array_equal(a.gravity, b.gravity)
+        and len(acting[0]) == len(acting[1])
+        and all(map(_is_same, *acting))
     )
 
 

@@ -230,7 +230,8 @@ def _going_on(
     """Return directions with the derivatives of the state that a run continues from."""
     assert ready.before is not None
     plan, columns = ready.plan, ready.inputs.columns
-    parts = ready.before.parts_of(plan, ready.options.timing.dt, (p.name for p in parameters))
+    names = (p.name for p in parameters)
+    parts = ready.before.parts_of(ready.model, plan, ready.options.timing.dt, names)
     behind = columns["state"].start
     ends = np.zeros((*parts.shape[1:], columns.count - behind))
     ends[:, :, end_columns(plan)] = np.moveaxis(parts, 0, 2)

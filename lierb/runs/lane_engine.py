@@ -48,6 +48,7 @@ class LaneTime:
     seed : seed of the noise.   numbers : index of each trajectory's noise.
     steps : numbers of the fixed steps that the rows follow; None for rows at other times.
     jumps : times at which forces may jump, s; a step that would cross one ends there.
+    keeps_sides : whether events begin on the sides that they had in the run before.
     """
 
     span: Span
@@ -58,6 +59,7 @@ class LaneTime:
     numbers: Array = field(default_factory=lambda: np.zeros(0))
     steps: NDArray[np.int64] | None = None
     jumps: Array = field(default_factory=lambda: np.zeros(0))
+    keeps_sides: bool = False
 
     @property
     def saved_rows(self) -> int:
@@ -196,7 +198,7 @@ class LaneRun(Run[LaneTime]):
         numbers = {
             "stop": self.inputs.count, "differ": self.inputs.differ,
             "rows_per_link": self.output.rows, "watched": len(events_of(plan)),
-            "lane_column": lane_column(plan), "seed": times.seed,
+            "lane_column": lane_column(plan), "seed": times.seed, "keeps_sides": times.keeps_sides,
             **times.span._asdict(), **times.tolerances._asdict(),
         }  # fmt: skip
         batch = job_of(self.arrays, numbers)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -69,15 +70,16 @@ def ready(model: Model, options: Options, pose0: Any, twist0: Any) -> Ready:
         starts[f"{field}twist"] = twists[link]
         if poses is not None:
             starts[f"{field}pose"] = poses[link]
-    state = None if known is None else known.state_of(plan, timing.dt)
+    state = None if known is None else known.state_of(model, plan, timing.dt)
     inputs = Inputs(model, system_of(plan).inputs, starts, count, timing.t0, state)
     given = options.trajectories
     numbers = None if given is None else checked_numbers(given, count)
     if timing.is_of_lanes:
         all_numbers = np.arange(count, dtype=np.float64) if numbers is None else numbers
-        times: StepClock | LaneTime = timing.lane_time(
-            clock, model.events, options.seed, all_numbers
-        )
+        of_lanes = timing.lane_time(clock, model.events, options.seed, all_numbers)
+        if known is not None and model.events:
+            of_lanes = replace(of_lanes, keeps_sides=known.keeps_sides(model))
+        times: StepClock | LaneTime = of_lanes
     else:
         assert clock is not None
         times = clock

@@ -11,7 +11,9 @@ import numpy as np
 
 from lierb.errors import StiffStepWarning
 from lierb.kernels.loops.ends import end_columns
+from lierb.kernels.systems.extra_states import Control, with_signals
 from lierb.kernels.systems.plan import AnyPlan
+from lierb.kernels.systems.signals import controllers_of, lane_end
 from lierb.kernels.systems.system_of import system_of
 from lierb.kernels.systems.unknowns import Unknowns
 from lierb.methods import Method
@@ -61,11 +63,14 @@ def eigenvalues_at_end(run: Ready, output: Output, number: int) -> Array:
     plan: AnyPlan = replace(run.plan, update="local")
     system = system_of(plan)
     body = system.body([float(x) for x in run.inputs.numbers(number)])
-    numbers = [0.0] * system.state.count
+    numbers = [0.0] * (system.state.count + lane_end(plan).count)
     for column, value in zip(end_columns(plan), output.ends[:, number], strict=True):
-        if column < len(numbers):
-            numbers[column] = float(value)
-    state = system.state_of(numbers, body)
+        numbers[column] = float(value)
+    state = system.state_of(numbers[: system.state.count], body)
+    if controllers_of(plan):
+        parts = lane_end(plan).parts(numbers[system.state.count :])
+        control = Control(tuple(parts["controls"]), tuple(parts["memory"]), ())
+        body = with_signals(plan, body, state, control)
     gravity = system.chart_gravity(body, state.chart)
     _, jacobian = Unknowns(system, state).jacobian(body, gravity, float(output.t[number]))
     rows = np.array([[float(x) for x in row] for row in jacobian.rows])

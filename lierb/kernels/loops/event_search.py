@@ -11,7 +11,6 @@ from lierb.compiler.loops import numbers_at
 from lierb.kernels.loops import workspace as ws
 from lierb.kernels.loops.event_dips import find_dips, look_deeper, next_dip, note_dip
 from lierb.kernels.loops.event_state import AT_THETA, in_watch, search_of, side_of
-from lierb.kernels.loops.job import RESUMED
 from lierb.kernels.loops.workspace import SAMPLES
 from lierb.kernels.stepping.step_size import EPS
 
@@ -23,6 +22,7 @@ MOST_ITERATIONS = 120  # of a root search; every third one bisects
 # For an event that starts at zero, to rounding: fraction of its range in the first step, and θ up
 # to which an event at rest changes by less than that.
 AT_ZERO, EARLY = 1e-10, 2.0**-18
+AT_END = 64.0 * EPS  # rounding of the time of a root, relative to the times of its step
 
 
 @cached()
@@ -42,7 +42,7 @@ def watch(service, inputs, counter, jobs):
         request[0, ws.FIRST_EVENT] = search.rows[0, 0] + 1.0
     elif kind == NEXT_TASK:
         task = int(request[0, ws.TASK])
-        starts = job.begin != RESUMED and task == SAMPLE and any_starts(search, job.start)
+        starts = job.keeps_sides == 0 and task == SAMPLE and any_starts(search, job.start)
         if starts and turn + 1 == SAMPLES:
             for lane in range(search.lanes):
                 search.theta[lane] = EARLY
@@ -86,7 +86,7 @@ def start_at_zero(search, start):
 
     This is done once the first step has been sampled. Such an event is on neither side until it has
     left zero: a state recorded at a crossing is beyond zero by a rounding, and may bounce. A run
-    that is continued without a change has the same sides, bit for bit.
+    that is continued without a change keeps its sides, bit for bit.
 
     An event that rests at zero and then leaves it has turned back within rounding, like a bouncing
     ball whose flights have become too short to be resolved. It is treated as coming from the other
@@ -275,6 +275,8 @@ def note_events(search):
 def drop_later(search, first):
     """Drop the events of this step after the end of their trajectory.
 
+    Roots are known to rounding: those that are not later by more are at the end.
+
     Return whether any trajectory ends.   first : index of the first event recorded in this step.
     """
     rows, any_ends = search.rows, False
@@ -282,9 +284,13 @@ def drop_later(search, first):
         if search.last[lane] <= 1.0:
             any_ends = True
             end = search.start[lane] + search.last[lane] * search.length[lane]
+            rounding = AT_END * (abs(search.start[lane]) + search.length[lane])
             for index in range(first, int(rows[0, 0]) + 1):
                 if rows[index, 0] == search.trajectory[lane] and rows[index, 2] > end:
-                    rows[index, 0] = -1.0
+                    if rows[index, 2] - end > rounding:
+                        rows[index, 0] = -1.0
+                    else:
+                        rows[index, 2] = end
     return any_ends
 
 

@@ -69,6 +69,7 @@ SIZES = {
     "differ": "TWISTS, POSES or BODIES",
     "rows_per_link": "rows of the states of each link: all saved times, or the last one",
     "watched": "number of events",
+    "keeps_sides": "1 if events begin on the sides of the run before",
     "lane_column": "column of LANE_SUMMARY in a summary",
     "kept_every": "number of steps between states that are kept",
     "state_rows": "rows of such a state in memory",

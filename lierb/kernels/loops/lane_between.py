@@ -7,7 +7,13 @@ from typing import Any, NamedTuple
 from lierb.kernels.loops import workspace as ws
 from lierb.kernels.loops.lane_state import Lanes, put_row, put_rows, row_of
 from lierb.kernels.loops.lane_steps import Made, interval_of
-from lierb.kernels.loops.record import Record, observe, with_all_parts, without_measures
+from lierb.kernels.loops.record import (
+    Record,
+    observe,
+    with_all_parts,
+    with_rank,
+    without_measures,
+)
 from lierb.kernels.mechanics.passive_elements import UserEvent
 from lierb.kernels.numbers.arithmetic import absolute, all_lanes, any_lanes, load, store, where
 from lierb.kernels.numbers.dual import values
@@ -110,7 +116,7 @@ def put_roundings(
 ) -> None:
     """Store the effect of rounding on the events' current values, which are those of `sample`."""
     if events_of(plan):
-        state, time = lanes.state, lanes.clock.t
+        state, time, body = lanes.state, lanes.clock.t, with_rank(plan, body, lanes.record)
         system, body = system_of(plan), with_signals(plan, body, state, lanes.control)
         nearby = system.events_nearby(body, system.motion(body, state, time), time)
         now = [load(values, (sample, i, 0), plan.lanes) for i in range(len(nearby))]

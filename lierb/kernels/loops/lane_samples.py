@@ -15,6 +15,8 @@ from lierb.kernels.loops import lane_between as inner
 from lierb.kernels.loops import workspace as ws
 from lierb.kernels.loops.lane_between import Part
 from lierb.kernels.loops.lane_state import Lanes, any_of, put_row, row_of
+from lierb.kernels.loops.lane_steps import interval_of
+from lierb.kernels.loops.record import with_rank
 from lierb.kernels.loops.states_in_memory import exchange
 from lierb.kernels.mechanics.passive_elements import UserObservable
 from lierb.kernels.numbers.arithmetic import (
@@ -168,7 +170,10 @@ def sampled(
     if not plan.samples:
         return lanes
     record, time, system = lanes.record, inner.time_between(trial, theta), system_of(plan)
-    body = with_signals(plan, body, there, lanes.control)
+    if plan.jumps:  # the sides of the step, at its ends
+        at = interval_of(plan, trial)
+        time = at.time + theta * at.span
+    body = with_signals(plan, with_rank(plan, body, record), there, lanes.control)
     seen = system.observed(body, system.motion(body, there, time), time)
     share, selected = weight * _stretch(lanes, trial, part), row_of(plan, rows, ws.SELECTED) > 0.5
     observed, alive = [], record.status == OK

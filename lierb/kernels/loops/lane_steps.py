@@ -232,7 +232,8 @@ def ticked(plan: AnyPlan, body: Any, lanes: Lanes, ticks: Any, rows: Any, seed: 
         record = record._replace(observed=where(due, before, record.observed))
         clock = clock._replace(seen=where(due, clock.t, clock.seen))
     stream = row_of(plan, rows, NOISE_INDEX)
-    control = controlled(plan, body, lanes.state, lanes.control, clock.t, ticks, seed, stream)
+    ranked = with_rank(plan, body, record)
+    control = controlled(plan, ranked, lanes.state, lanes.control, clock.t, ticks, seed, stream)
     lanes = Lanes(lanes.state, record, clock, control)
     if watches:
         after = tuple(
@@ -251,8 +252,8 @@ def _observed(plan: AnyPlan, body: Any, lanes: Lanes, half: Any) -> tuple[Kept, 
 
     half : half the time since the last evaluation, s.
     """
-    time, record = lanes.clock.t, lanes.record
-    system, body = system_of(plan), with_signals(plan, body, lanes.state, lanes.control)
+    time, record, system = lanes.clock.t, lanes.record, system_of(plan)
+    body = with_signals(plan, with_rank(plan, body, record), lanes.state, lanes.control)
     alive = record.status == OK
     seen = completed(plan, system.observed(body, system.motion(body, lanes.state, time), time))
     return tuple(

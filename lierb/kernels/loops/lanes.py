@@ -119,7 +119,10 @@ def _start(plan, body, inputs, counter, jobs, lanes, fresh, span, limits):
         begun = lane_state.resumed(plan, body, begun, limits, inputs)
     lanes = select(fresh, begun, lanes)
     if own.watched > 0:
-        inner.put_values(plan, body, lanes.state, lanes.control, lanes.clock.t, values, ws.SAMPLES)
+        ranked = with_rank(plan, body, lanes.record)
+        inner.put_values(
+            plan, ranked, lanes.state, lanes.control, lanes.clock.t, values, ws.SAMPLES
+        )
         inner.put_roundings(plan, body, lanes, values, ws.SAMPLES, numbers_at(own.roundings))
         _request(job.watch, search.NOTE_STARTS, inputs, counter, jobs)
     lane_state.restore_exceptions(plan, flags, fresh)
@@ -196,7 +199,7 @@ def _look_between(
         if task == search.SAMPLE or task == search.DIP or task == search.ROOT:
             sample = turn if task == search.SAMPLE else AT_THETA
             exchange(plan, body)
-            inner.put_values(plan, seen, there, lanes.control, time, values, sample)
+            inner.put_values(plan, ranked, there, lanes.control, time, values, sample)
             exchange(plan, body)
             if task != search.SAMPLE:
                 kind = search.NARROW if task == search.ROOT else search.NOTE_DIP

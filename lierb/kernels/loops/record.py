@@ -295,6 +295,7 @@ def observe(
 
     Statistics of observables have derivatives; measures have none.
     """
+    body = with_rank(plan, body, record)
     system, plain = system_of(plan), (values(body), values(state))
     seen = system.motion(*plain, time)
     of_observed = system.motion(body, state, time) if plan.moving and observables_of(plan) else seen

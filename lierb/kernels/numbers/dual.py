@@ -111,7 +111,10 @@ class Dual:
 
         def with_slopes(z: Number) -> tuple[Any, ...]:
             results = formula(Dual(z, (1.0,)))
-            return (*map(value_of, results), *(parts_of(y)[0] for y in results))
+            slopes = (parts_of(y)[0] for y in results)
+            # a slope may be a constant, which traced code cannot return
+            numbers = (0.0 * z + s if isinstance(s, float) else s for s in slopes)
+            return (*map(value_of, results), *numbers)
 
         with_slopes.__module__ = formula.__module__
         with_slopes.__qualname__ = f"{formula.__qualname__}.with_slopes"

@@ -58,7 +58,7 @@ class LoopProjection(LoopSteps):
         self._put_next(tree, is_moving=True)
         self._displace(tree, time, dropped, length, 1)
         change = sqrt(self._size(tree, self._correction(tree), length))
-        if all(r.is_holonomic for kind in self.plan.constraint_kinds for r in kind.rows):
+        if not any(r.depends_on_time for kind in self.plan.constraint_kinds for r in kind.rows):
             mark = where(h * length * change > most * most, 1.0, mark)
         velocity = tree.rows(tree[at.V_ROW] + tree[at.AHEAD])
         count = tree[at.FREEDOMS]
