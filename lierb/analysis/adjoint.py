@@ -20,6 +20,12 @@ from lierb.model.connections import NOWHERE
 from lierb.model.mechanism.mechanism import Mechanism
 from lierb.model.problem import Problem
 from lierb.runs.adjoint import gains_of
+from lierb.runs.derivative_steps import (
+    EXAMINED,
+    is_examined,
+    warn_of_long_steps,
+    with_half_steps,
+)
 from lierb.runs.derivatives import fixed_names, obstacles, start_and_inputs, unfit_names
 from lierb.runs.options import Options
 from lierb.runs.parameters import Parameter, chosen_parameters, parameters_by_name, seeds_of
@@ -131,7 +137,8 @@ def gradient(
     FailedTrajectoryWarning
         Some trajectories have failed, and their gradients are NaN.
     DerivativeWarning
-        A force or function switches by a comparison.
+        A force or function switches by a comparison, or derivatives change by more than a tenth
+        with half the adaptive steps.
 
     Notes
     -----
@@ -184,9 +191,17 @@ def gradient(
     prepared = prepared._replace(inputs=inputs)
     fields = [f.name for f, _ in inputs.columns if f.name != "state"]
     plan = plan_with_derivatives(prepared.plan, tuple(fields))
-    gains = gains_of(
+    gains, ends = gains_of(
         prepared, plan, number, threads, progress, start_check(prepared, 6 + plan.has_lane_clocks)
     )
+    if is_examined(prepared):
+        steps = np.count_nonzero(np.diff(ends[:, : gains.shape[1]], axis=0) > 0.0, axis=0)
+        lasted = (ends[-1] - ends[0])[: gains.shape[1]]
+        halved = with_half_steps(prepared, lasted, steps.astype(float))
+        halved = halved._replace(inputs=start_and_inputs(halved)[1])
+        again, _ = gains_of(halved, plan, number, threads, False, None)
+        pairs = (gains[:-1, :EXAMINED], again[:-1])
+        warn_of_long_steps({of: pairs}, stacklevel=2)
     failed = int(np.isnan(gains[-1]).sum())
     if failed:
         has = "has" if failed == 1 else "have"
@@ -213,7 +228,8 @@ def _all(prepared: Ready) -> Iterator[Parameter]:
             other = "parent_point" if at.parent == NOWHERE else "ground_point"
             other_names.add(f"{at.name}.joint.{other}")
     for name, parameter in parameters_by_name(prepared.model).items():
-        if name not in other_names and not name.endswith("omega0"):
+        is_omega = parameter.is_start and name.endswith("omega0")
+        if name not in other_names and not is_omega:
             yield parameter
 
 

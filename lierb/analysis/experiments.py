@@ -90,6 +90,11 @@ def of_experiments(base: Varied, experiments: int, count: int) -> Varied:
             f"{counted(count, 'trajectory', 'trajectories')}, and the problem with its start "
             f"{own}; expected one for all{several}, or {whole}"
         )
+    if own == count == experiments > 1:
+        raise ArgumentError(
+            f"the problem with its start has {own} numbers, one for each experiment or one for "
+            f"each of its trajectories; give {whole}, experiment by experiment"
+        )
     tiled = np.arange(whole) % own
     size = base.model.batch_size() or 1
     model = base.model if size in (1, whole) else base.model.part(tiled)

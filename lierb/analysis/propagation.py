@@ -159,7 +159,8 @@ def _propagated(
     variation: Variation, runs: Runs, quantities: list[Quantity], sigma: Array, t: Array,
     count: int, seed: int,
 ) -> Propagation:  # fmt: skip
-    nominal = runs.result(variation.base, [p.name for p in variation.parameters])
+    names = [p.name for p in variation.parameters]
+    nominal = runs.result(variation.base, names, examines_steps=True)
     if failures := Failures.of(nominal.summary):
         raise ArgumentError(f"the nominal run fails, {failures}")
     members = _sample(variation, runs, sigma, count, seed)

@@ -36,17 +36,22 @@ class Runs(NamedTuple):
         return Options.of(model, **self.keywords, statistics=False)
 
     def result(
-        self, varied: Varied, parameters: Iterable[str | Parameter] = (), has_tables: bool = True
+        self,
+        varied: Varied,
+        parameters: Iterable[str | Parameter] = (),
+        has_tables: bool = True,
+        examines_steps: bool = False,
     ) -> Result:
         """Return the run of a model from its start.
 
         has_tables : False for derivatives without tables, for `Result.sensitivity` alone.
+        examines_steps : True to warn of steps that are too long for derivatives.
         """
         start = varied.start
         return integrate_model(
             varied.model, self.options(varied.model), start["pose0"], start["twist0"],
             with_respect_to=parameters, threads=self.threads, progress=False,
-            has_tables=has_tables, argument="parameters",
+            has_tables=has_tables, argument="parameters", examines_steps=examines_steps,
         )  # fmt: skip
 
     def most_steps(self, summary: pa.Table) -> int | None:

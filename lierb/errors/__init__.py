@@ -115,7 +115,7 @@ class LeftOutWarning(UserWarning):
 
 
 class DerivativeWarning(UserWarning):
-    """A force or function switches, and its derivatives may be wrong.
+    """A force or function switches, or adaptive steps are long: derivatives may be wrong.
 
     Where a force or a rate of a state jumps at a place or speed, the derivatives of the motion jump
     too. `lierb.integrate` does not add this jump: derivatives are right only if the function is

@@ -86,7 +86,13 @@ def places_of(model: Any) -> dict[str, Place]:
         for name, shape in element.kind.shapes.items():
             kind = "time" if name in (*element.kind.discontinuities, *period) else "number"
             place = Place(f"{field}{name}", (shape,), _unit(element, name), kind, binds)
-            places[f"{label}.{element.short(name)}"] = place
+            own = f"{label}.{element.short(name)}"
+            if own in places:
+                raise ArgumentError(
+                    f"{own} is a parameter of {element.name}, and a number of the body or joint; "
+                    f'give the element another name: {element.name}(…).named("…")'
+                )
+            places[own] = place
     return places
 
 

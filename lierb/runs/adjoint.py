@@ -131,8 +131,10 @@ def gains_of(
     threads: int | None,
     progress: Progress,
     check: engine.StartCheck | None,
-) -> Array:
+) -> tuple[Array, Array]:
     """Return gains of a number at the end by all inputs, then the number, [column][trajectory].
+
+    Beside them, the ends of all steps; see `AdjointRun.step_times`.
 
     plan : of the run, with derivatives of all inputs.   number : see `Adjoint`.
     """
@@ -149,7 +151,7 @@ def gains_of(
     with reporter(progress, *run.total) as report:
         for done in run.calls():
             report(done)
-    return run.gains
+    return run.gains, ends
 
 
 def _noted(

@@ -194,7 +194,9 @@ def power(base: Any, exponent: Any) -> Any:
     value = power(x, n)
     if not (parts_of(base) or parts_of(exponent)):
         return kind_of(base, exponent)(value)
-    by_exponent = value * log(x) if parts_of(exponent) else ZERO
+    by_exponent: Any = ZERO
+    if parts_of(exponent):  # 0 where 0 ** n is 0 for all n nearby
+        by_exponent = value * log(select((x == 0.0) & (value == 0.0), 1.0, x))
     return combined(base, exponent, lambda a, b: value, n * power(x, n - 1.0), by_exponent)
 
 
