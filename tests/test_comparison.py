@@ -308,6 +308,7 @@ def test_cpu_time_may_be_left_out(found):
     assert all("CPU" not in axes.get_xlabel() for axes in without.figure().axes)
 
 
+@pytest.mark.slow
 def test_steps_end_at_discontinuities():
     """A thrust that ends within a step of 0.1 s; steps that end with it have no error."""
 

@@ -22,6 +22,7 @@ def cart(force, **more):
     return lierb.Problem(body, lierb.joints.prismatic(), forces=push, **more)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("force", [3.0, -3.0])
 def test_an_event_at_the_end_of_a_run_is_none_at_the_start_of_the_next(force):
     """The cart turns back at 1/3 s. Then it is pushed on, or as before."""
@@ -45,6 +46,7 @@ def test_what_a_method_carries_ends_with_the_forces(method):
     assert_allclose([pushed.v[0, 2], pushed.position[0, 2]], [3.0, 1.5], rtol=1e-10)
 
 
+@pytest.mark.slow
 def test_derivatives_do_not_go_on_with_another_twist():
     first = lierb.integrate(cart(1.0), dt=0.01, t_end=1.0, with_respect_to="body.mass")
     changed = first.end | {"twist0": -first.end["twist0"]}
@@ -88,6 +90,7 @@ def test_means_end_at_declared_jumps():
     assert_allclose(run["drive_mean"], 4.0, rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_a_ground_that_moves_along_one_axis_has_implicit_steps():
     """∂/∂t of the constant components is a constant, which compiled code must return too."""
     pin = lierb.joints.revolute(axis=(0.0, 1.0, 0.0), body_point=(0.0, 0.0, 0.3))
@@ -111,6 +114,7 @@ def act(t, R, r, omega, v, controls):
     return controls.torque, np.zeros(3)
 
 
+@pytest.mark.slow
 def test_long_adaptive_runs_with_controllers_end():
     """From 2000 steps on, a run is examined for stability at its end, where it needs controls."""
     held = lierb.Problem(
@@ -133,6 +137,7 @@ def balanced_rotor():
     return rotor, hinge.twist(omega=(0.0, 20.0, 0.0))
 
 
+@pytest.mark.slow
 def test_steps_that_resolve_the_motion_alone_are_told():
     """A steady rotation takes steps of half a second; ∂ω/∂com turns with 20 rad/s.
 
@@ -162,6 +167,7 @@ def test_a_parameter_that_would_take_the_name_of_the_bodys_is_refused():
         lierb.integrate(given, dt=0.1, t_end=1.0, with_respect_to="body.mass")
 
 
+@pytest.mark.slow
 def test_a_power_of_zero_has_derivatives_by_its_exponent():
     """A body falls from rest against a drag c v^n: ∂z/∂n is finite."""
 

@@ -84,6 +84,7 @@ NO_NUMBERS = {  # abstract, or of other things
 # Of mechanisms: methods of objects that hold the numbers. tests/mechanisms holds them against other
 # formulations, and test_spatial.py what they are made of against matrices.
 OF_MECHANISMS = (
+    "mechanics.constraints.errors_squared",
     "mechanics.saddle.Elimination.",
     "groups.ambient.turned",
     "groups.increments.Ambient.pose",

@@ -196,7 +196,8 @@ def power(base: Any, exponent: Any) -> Any:
         return kind_of(base, exponent)(value)
     by_exponent: Any = ZERO
     if parts_of(exponent):  # 0 where 0 ** n is 0 for all n nearby
-        by_exponent = value * log(select((x == 0.0) & (value == 0.0), 1.0, x))
+        is_nothing = (raw(x) == 0.0) & (raw(value) == 0.0)
+        by_exponent = value * log(select(is_nothing, 1.0, x))
     return combined(base, exponent, lambda a, b: value, n * power(x, n - 1.0), by_exponent)
 
 

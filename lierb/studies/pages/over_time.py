@@ -64,8 +64,8 @@ def _draw_errors(
             continue
         low, median, high, most = positive(bands, least)
         colour, dash = look.key.colour, look.key.dash
-        mark = "o" if times.size == 1 else ""
-        panel.plot(times, median, mark, color=colour, linestyle=dash, linewidth=look.width)
+        mark = "o" if times.size == 1 else None
+        panel.plot(times, median, marker=mark, color=colour, linestyle=dash, linewidth=look.width)
         bottom = np.where(np.isnan(low), np.nanmin(positive(bands, least)), low)
         panel.fill_between(times, bottom, high, color=colour, alpha=0.18, linewidth=0)
         panel.plot(times, most, color=colour, linestyle=dash, linewidth=0.6, alpha=0.8)
