@@ -91,6 +91,20 @@ def test_means_end_at_declared_jumps():
 
 
 @pytest.mark.slow
+def test_propagation_tells_of_steps_and_of_runs_that_end():
+    rotor, twist0 = balanced_rotor()
+    spread = {"body.com": (1e-5,) * 3}
+    with pytest.warns(DerivativeWarning, match="if steps are halved"):
+        lierb.propagate(rotor, spread, "body.com", [1.0, 3.0], "omega", twist0=twist0)
+    thrown = {"twist0": (0.0, 0.0, 0.0, 0.0, 0.0, 1.0), "dt": 0.01}
+    with pytest.raises(ArgumentError, match=r"an event ends the nominal run at t = 0.333"):
+        lierb.propagate(
+            cart(-3.0, events=turn()), {"body.mass": 0.01}, "body.mass", [0.2, 0.5], "position",
+            **thrown,
+        )  # fmt: skip
+
+
+@pytest.mark.slow
 def test_a_ground_that_moves_along_one_axis_has_implicit_steps():
     """∂/∂t of the constant components is a constant, which compiled code must return too."""
     pin = lierb.joints.revolute(axis=(0.0, 1.0, 0.0), body_point=(0.0, 0.0, 0.3))

@@ -41,9 +41,7 @@ class Task:
     @cached_property
     def at_base(self) -> Result:
         """Return the run of the base, with derivatives. Raises ArgumentError if it fails."""
-        result = self.runs.result(
-            self.variation.base, self.variation.parameters, examines_steps=True
-        )
+        result = self.runs.result(self.variation.base, self.variation.parameters)
         if failures := Failures.of(result.summary):
             raise ArgumentError(f"the run of the guess fails, {failures}; give a better guess")
         if not np.isfinite(self.weighted(result)).all():

@@ -142,13 +142,14 @@ def propagate(
     warn_of_switches(model, stacklevel=3)
     variation = Variation(base, chosen, runs.options(model).timing.t0)
     _require_followed(variation, sigma)
+    runs.warn_of_long_steps(base, [p.name for p in chosen])
     with warnings_collected(), warnings.catch_warnings():
         warnings.simplefilter("ignore")
         found = _propagated(variation, runs, quantities, sigma, t, int(monte_carlo), seed)
     if found.failed:
         warnings.warn(
-            f"{found.failed} of {found.size + found.failed} runs of the sample failed; its "
-            "deviations are those of the others",
+            f"{found.failed} of {found.size + found.failed} runs of the sample failed, or ended "
+            "by an event before the last time; its deviations are those of the others",
             FailedTrajectoryWarning,
             stacklevel=2,
         )
@@ -159,12 +160,17 @@ def _propagated(
     variation: Variation, runs: Runs, quantities: list[Quantity], sigma: Array, t: Array,
     count: int, seed: int,
 ) -> Propagation:  # fmt: skip
-    names = [p.name for p in variation.parameters]
-    nominal = runs.result(variation.base, names, examines_steps=True)
+    nominal = runs.result(variation.base, [p.name for p in variation.parameters])
     if failures := Failures.of(nominal.summary):
         raise ArgumentError(f"the nominal run fails, {failures}")
+    (ended,) = np.asarray(nominal.summary["t"])
+    if ended < t[-1]:
+        raise ArgumentError(
+            f"an event ends the nominal run at t = {ended:g} s; give earlier times, or an event "
+            "that is not terminal"
+        )
     members = _sample(variation, runs, sigma, count, seed)
-    whole = ~has_failed(members.summary)
+    whole = ~has_failed(members.summary) & (np.asarray(members.summary["t"]) >= t[-1])
     size = int(whole.sum())
     linear, sample, shift, ratio, holds = ({} for _ in range(5))
     for each in quantities:

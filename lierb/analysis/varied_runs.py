@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Iterable
 from typing import Any, NamedTuple
 
@@ -12,6 +13,7 @@ from lierb.api import integrate_model
 from lierb.errors import TimeGridError, unknown_name
 from lierb.results.columns import as_array
 from lierb.results.result import Result
+from lierb.runs.derivative_steps import IF_HALVED
 from lierb.runs.options import Options
 from lierb.runs.parameters import Parameter
 from lierb.runs.time_options import checked_steps, checked_time, checked_within
@@ -53,6 +55,16 @@ class Runs(NamedTuple):
             with_respect_to=parameters, threads=self.threads, progress=False,
             has_tables=has_tables, argument="parameters", examines_steps=examines_steps,
         )  # fmt: skip
+
+    def warn_of_long_steps(self, varied: Varied, parameters: Iterable[str | Parameter]) -> None:
+        """Issue a DerivativeWarning if adaptive steps are too long for derivatives."""
+        if not self.options(varied.model).timing.is_adaptive:
+            return
+        with warnings.catch_warnings(record=True) as seen:
+            warnings.simplefilter("always")
+            self.result(varied, parameters, has_tables=False, examines_steps=True)
+        for message in (each.message for each in seen if IF_HALVED in str(each.message)):
+            warnings.warn(message, stacklevel=3)
 
     def most_steps(self, summary: pa.Table) -> int | None:
         """Return MOST_STEPS times the attempted steps of a run; None if steps are not adaptive."""

@@ -15,6 +15,7 @@ from lierb.support.arrays import Array, items_at
 from lierb.support.collected_warnings import are_warnings_collected
 
 EXAMINED = 8  # first trajectories of a batch, which run a second time
+IF_HALVED = "if steps are halved"  # in the warning
 CHANGE = 0.1  # largest change of a derivative by half the steps, relative to the largest one
 ROUNDING = 1e-10  # of derivatives by a parameter without effect, relative to those by others
 
@@ -65,7 +66,7 @@ def warn_of_long_steps(pairs: Mapping[str, tuple[Array, Array]], **options: Any)
         if change > CHANGE * max(sizes[name], least):
             share = 100.0 * change / (sizes[name] or change)
             warnings.warn(
-                f"derivatives of or by {name} change by {share:.2g} % if steps are halved: "
+                f"derivatives of or by {name} change by {share:.2g} % {IF_HALVED}: "
                 "adaptive steps resolve the motion alone, which is simpler than motions nearby; "
                 "give dt or dt_max",
                 DerivativeWarning,
