@@ -112,31 +112,11 @@ def test_a_tool_is_tuned_to_the_error_that_is_wanted(wanted):
     assert tops.errors("one", solved(1.25 * dt)).largest > wanted
 
 
-CPP = {
-    "saddle point, spherical": ("lierb/saddle-tilted", "cpp/general-fixed", "cpp/general"),
-    "saddle point, revolute": (
-        "lierb/saddle-revolute-tilted", "cpp/general-fixed-revolute", "cpp/general-revolute",
-    ),
-    "saddle point, universal": (
-        "lierb/saddle-universal-tilted", "cpp/general-fixed-universal", "cpp/general-universal",
-    ),
-    "constant gain, spherical": ("lierb/gain-tilted", "cpp/reduced"),
-}  # fmt: skip
-
-
 def _readme_row(label: str) -> list[str]:
     """The cells of a table's row, numbers without their units."""
     text = (BENCH / "README.md").read_text(encoding="utf-8")
     line = next(x for x in text.splitlines() if x.startswith(f"| {label} |"))
     return [cell.split()[0] for cell in line.strip("|").split("|")[1:]]
-
-
-@pytest.mark.parametrize(("label", "names"), CPP.items())
-def test_the_readme_shows_the_stored_run_with_cpp(label, names):
-    (stored,) = (BENCH / "results").glob("cpp-*.json")
-    run = json.loads(stored.read_text(encoding="utf-8"))
-    expected = [report._cell(report._speed(run, name)) for name in names]
-    assert _readme_row(label)[: len(expected)] == expected
 
 
 OWN = {
