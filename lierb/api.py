@@ -30,16 +30,11 @@ from lierb.results.sensitivities import Untabled, sensitivities
 from lierb.results.tables import events_table, history_table, no_room, require_memory, summary_table
 from lierb.runs import engine
 from lierb.runs.continuation import End, continuation_of
-from lierb.runs.derivative_steps import (
-    EXAMINED,
-    is_examined,
-    warn_of_long_steps,
-    with_half_steps,
-)
+from lierb.runs.derivative_steps import examine_steps
 from lierb.runs.derivatives import Derivatives, integrate_with_derivatives, require_differentiable
 from lierb.runs.options import Options
 from lierb.runs.output import Output
-from lierb.runs.parameters import Parameter, chosen_parameters, slices_of
+from lierb.runs.parameters import Parameter, chosen_parameters
 from lierb.runs.provenance import provenance
 from lierb.runs.starts import Ready, ready
 from lierb.runs.stiff_runs import warn_of_stiff_run
@@ -283,14 +278,12 @@ def integrate_model(
     stacklevel: int = 2,
     has_tables: bool = True,
     argument: str = "with_respect_to",
-    examines_steps: bool = True,
 ) -> Result:
     """Integrate a model with validated options; arguments as in `integrate`.
 
     has_tables : False for derivatives without tables, for `Result.sensitivity` alone.
     stacklevel : stack level of warnings; 2 is the caller of this function.
     argument : the caller's name of `with_respect_to`, for messages.
-    examines_steps : False for derivatives whose steps are not examined, as in iterations.
     """
     model.require_unchanged()
     check_progress(progress)
@@ -316,8 +309,7 @@ def integrate_model(
         derivatives = None
         if parameters:
             output, derivatives = integrate_with_derivatives(prepared, parameters, *call)
-            if examines_steps and is_examined(prepared):
-                _examine_steps(prepared, output, derivatives, threads, stacklevel + 2)
+            examine_steps(prepared, output, derivatives, threads, stacklevel=stacklevel + 2)
         else:
             output = engine.integrate(prepared.plan, prepared.inputs, prepared.times, *call)
         warn_of_stiff_run(prepared, output, stacklevel=stacklevel + 1)
@@ -331,22 +323,6 @@ def integrate_model(
     if has_position_motors(model):
         warn_of_motors(model, result.summary, stacklevel=stacklevel + 1)
     return result
-
-
-def _examine_steps(
-    prepared: Ready, output: Output, found: Derivatives, threads: int | None, stacklevel: int
-) -> None:
-    """Warn if half the steps would change the derivatives of the first trajectories' ends."""
-    lasted = output.t - prepared.options.timing.t0
-    halved = with_half_steps(prepared, lasted, output.of_lanes("steps"))
-    parameters = chosen_parameters(halved.model, [p.name for p in found.parameters])
-    _, again = integrate_with_derivatives(halved, parameters, False, threads, False, None)
-    ends = [x.ends[x.columns["links"], :, :EXAMINED] for x in (found, again)]
-    pairs = {
-        name: (ends[0][:, part], ends[1][:, part])
-        for name, part in slices_of(found.parameters).items()
-    }
-    warn_of_long_steps(pairs, stacklevel=stacklevel)
 
 
 def start_check(prepared: Ready, stacklevel: int) -> engine.StartCheck | None:

@@ -148,7 +148,7 @@ def fit(
     runs = fit_runs(given, t0, t_end, options)
     warn_of_switches(model, stacklevel=3)
     variation = guessed(Variation(base, chosen, runs.options(model).timing.t0), by_name)
-    runs.warn_of_long_steps(variation.base, [p.name for p in chosen])
+    runs.warn_of_long_steps(variation.base, chosen)
     with warnings_collected(), warnings.catch_warnings():
         warnings.simplefilter("ignore")
         return _solved(variation, given, runs, bounds, int(max_evaluations))

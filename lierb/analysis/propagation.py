@@ -7,7 +7,9 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+import pyarrow as pa
+import pyarrow.compute as pc
+from numpy.typing import ArrayLike, NDArray
 
 from lierb.analysis.followed import followed, held_directions
 from lierb.analysis.propagation_result import Propagation, deviations_of
@@ -142,7 +144,7 @@ def propagate(
     warn_of_switches(model, stacklevel=3)
     variation = Variation(base, chosen, runs.options(model).timing.t0)
     _require_followed(variation, sigma)
-    runs.warn_of_long_steps(base, [p.name for p in chosen])
+    runs.warn_of_long_steps(base, chosen)
     with warnings_collected(), warnings.catch_warnings():
         warnings.simplefilter("ignore")
         found = _propagated(variation, runs, quantities, sigma, t, int(monte_carlo), seed)
@@ -163,14 +165,14 @@ def _propagated(
     nominal = runs.result(variation.base, [p.name for p in variation.parameters])
     if failures := Failures.of(nominal.summary):
         raise ArgumentError(f"the nominal run fails, {failures}")
-    (ended,) = np.asarray(nominal.summary["t"])
-    if ended < t[-1]:
+    if not _lasts(nominal, t[-1])[0]:
+        (ended,) = nominal.summary["t"].to_pylist()
         raise ArgumentError(
             f"an event ends the nominal run at t = {ended:g} s; give earlier times, or an event "
             "that is not terminal"
         )
     members = _sample(variation, runs, sigma, count, seed)
-    whole = ~has_failed(members.summary) & (np.asarray(members.summary["t"]) >= t[-1])
+    whole = ~has_failed(members.summary) & _lasts(members, t[-1])
     size = int(whole.sum())
     linear, sample, shift, ratio, holds = ({} for _ in range(5))
     for each in quantities:
@@ -186,6 +188,12 @@ def _propagated(
         ratio[name], holds[name] = _compared(linear[name], sample[name], shift[name], size, least)
     units = {each.name: each.unit for each in quantities}
     return Propagation(t, linear, sample, shift, ratio, holds, units, size, count - size)
+
+
+def _lasts(result: Result, last: float) -> NDArray[np.bool_]:
+    """Return False for the trajectories that an event has ended before the time `last`, s."""
+    is_event = pc.equal(result.summary["status"].cast(pa.string()), "event")
+    return np.asarray(~(is_event.to_numpy() & (result.summary["t"].to_numpy() < last)))
 
 
 def _quantities(model: Any, of: Any) -> list[Quantity]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Iterable
 from typing import Any, NamedTuple
 
@@ -13,9 +12,11 @@ from lierb.api import integrate_model
 from lierb.errors import TimeGridError, unknown_name
 from lierb.results.columns import as_array
 from lierb.results.result import Result
-from lierb.runs.derivative_steps import IF_HALVED
+from lierb.runs.derivative_steps import examine_steps, is_examined
+from lierb.runs.derivatives import integrate_with_derivatives
 from lierb.runs.options import Options
 from lierb.runs.parameters import Parameter
+from lierb.runs.starts import ready
 from lierb.runs.time_options import checked_steps, checked_time, checked_within
 from lierb.runs.variations import Varied
 from lierb.support.arrays import Array
@@ -38,33 +39,26 @@ class Runs(NamedTuple):
         return Options.of(model, **self.keywords, statistics=False)
 
     def result(
-        self,
-        varied: Varied,
-        parameters: Iterable[str | Parameter] = (),
-        has_tables: bool = True,
-        examines_steps: bool = False,
+        self, varied: Varied, parameters: Iterable[str | Parameter] = (), has_tables: bool = True
     ) -> Result:
         """Return the run of a model from its start.
 
         has_tables : False for derivatives without tables, for `Result.sensitivity` alone.
-        examines_steps : True to warn of steps that are too long for derivatives.
         """
         start = varied.start
         return integrate_model(
             varied.model, self.options(varied.model), start["pose0"], start["twist0"],
             with_respect_to=parameters, threads=self.threads, progress=False,
-            has_tables=has_tables, argument="parameters", examines_steps=examines_steps,
+            has_tables=has_tables, argument="parameters",
         )  # fmt: skip
 
-    def warn_of_long_steps(self, varied: Varied, parameters: Iterable[str | Parameter]) -> None:
+    def warn_of_long_steps(self, varied: Varied, parameters: tuple[Parameter, ...]) -> None:
         """Issue a DerivativeWarning if adaptive steps are too long for derivatives."""
-        if not self.options(varied.model).timing.is_adaptive:
-            return
-        with warnings.catch_warnings(record=True) as seen:
-            warnings.simplefilter("always")
-            self.result(varied, parameters, has_tables=False, examines_steps=True)
-        for message in (each.message for each in seen if IF_HALVED in str(each.message)):
-            warnings.warn(message, stacklevel=3)
+        start = varied.start
+        run = ready(varied.model, self.options(varied.model), start["pose0"], start["twist0"])
+        if is_examined(run):
+            found = integrate_with_derivatives(run, parameters, False, self.threads, False, None)
+            examine_steps(run, *found, self.threads, stacklevel=5)
 
     def most_steps(self, summary: pa.Table) -> int | None:
         """Return MOST_STEPS times the attempted steps of a run; None if steps are not adaptive."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import shlex
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import AbstractContextManager, nullcontext, suppress
 from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -320,8 +320,10 @@ def _replay(study: Study, folder: Path, trajectory: int, threads: int | None) ->
     from lierb.studies.execution.replaying import replay
     from lierb.studies.storage.manifest import read_manifest
 
-    manifest = folder / MANIFEST
-    if manifest.exists() and read_manifest(manifest)["digest"] != study.digest():
+    digest = study.digest()
+    with suppress(StudyError):  # a replay needs no results, nor whole ones
+        digest = read_manifest(folder / MANIFEST)["digest"]
+    if digest != study.digest():
         other = (
             f"{folder} has results of another study, or with other changes: the trajectory is none "
             f"of them; {_again(folder, '--only', str(trajectory))} replays theirs"

@@ -6,7 +6,7 @@ therefore carry the kernels' state, and a run that starts from these objects sta
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -70,11 +70,8 @@ class Continuation:
 
     def keeps_sides(self, model: Model) -> bool:
         """Return True if events of a model begin on the sides that they had at the end."""
-        events = model.events, self.model.events
         return model is self.model or (
-            _have_equal_forces(model, self.model)
-            and len(events[0]) == len(events[1])
-            and all(map(_is_same, *events))
+            _have_equal_forces(model, self.model) and _are_same(model.events, self.model.events)
         )
 
     def clock_of(self, clock: StepClock) -> StepClock:
@@ -189,8 +186,7 @@ def _have_equal_joints(a: Model, b: Model) -> bool:
             for name, array in a.quantities.items()
             if name != "gravity"
         )
-        and len(constraints[0]) == len(constraints[1])
-        and all(map(_is_same, *constraints))
+        and _are_same(*constraints)
     )
 
 
@@ -198,11 +194,11 @@ def _have_equal_forces(a: Model, b: Model) -> bool:
     """Return True if gravity and all elements that may act are equal."""
     passive = {id(element) for m in (a, b) for element in (*m.events, *m.observables)}
     acting = [[e for e in m.elements if id(e) not in passive] for m in (a, b)]
-    return (
-        np.array_equal(a.gravity, b.gravity)
-        and len(acting[0]) == len(acting[1])
-        and all(map(_is_same, *acting))
-    )
+    return np.array_equal(a.gravity, b.gravity) and _are_same(*acting)
+
+
+def _are_same(a: Sequence[Element], b: Sequence[Element]) -> bool:
+    return len(a) == len(b) and all(map(_is_same, a, b))
 
 
 def _is_same(a: Element, b: Element) -> bool:

@@ -10,12 +10,14 @@ from typing import Any
 import numpy as np
 
 from lierb.errors import DerivativeWarning
+from lierb.runs.derivatives import Derivatives, integrate_with_derivatives
+from lierb.runs.output import Output
+from lierb.runs.parameters import chosen_parameters, slices_of
 from lierb.runs.starts import Ready, ready
 from lierb.support.arrays import Array, items_at
 from lierb.support.collected_warnings import are_warnings_collected
 
 EXAMINED = 8  # first trajectories of a batch, which run a second time
-IF_HALVED = "if steps are halved"  # in the warning
 CHANGE = 0.1  # largest change of a derivative by half the steps, relative to the largest one
 ROUNDING = 1e-10  # of derivatives by a parameter without effect, relative to those by others
 
@@ -24,6 +26,27 @@ def is_examined(run: Ready) -> bool:
     """Return True if the steps of a run are to be examined for its derivatives."""
     is_first = run.options.timing.is_adaptive and run.before is None
     return is_first and not are_warnings_collected()
+
+
+def examine_steps(
+    run: Ready, output: Output, found: Derivatives, threads: int | None, **options: Any
+) -> None:
+    """Run the first trajectories again, and warn if half the steps change derivatives at the end.
+
+    options : keywords of `warnings.warn`.
+    """
+    if not is_examined(run):
+        return
+    lasted = output.t - run.options.timing.t0
+    halved = with_half_steps(run, lasted, output.of_lanes("steps"))
+    parameters = chosen_parameters(halved.model, [p.name for p in found.parameters])
+    _, again = integrate_with_derivatives(halved, parameters, False, threads, False, None)
+    ends = [x.ends[x.columns["links"], :, :EXAMINED] for x in (found, again)]
+    pairs = {
+        name: (ends[0][:, part], ends[1][:, part])
+        for name, part in slices_of(found.parameters).items()
+    }
+    warn_of_long_steps(pairs, **options)
 
 
 def with_half_steps(run: Ready, lasted: Array, steps: Array) -> Ready:
@@ -66,7 +89,7 @@ def warn_of_long_steps(pairs: Mapping[str, tuple[Array, Array]], **options: Any)
         if change > CHANGE * max(sizes[name], least):
             share = 100.0 * change / (sizes[name] or change)
             warnings.warn(
-                f"derivatives of or by {name} change by {share:.2g} % {IF_HALVED}: "
+                f"derivatives of or by {name} change by {share:.2g} % if steps are halved: "
                 "adaptive steps resolve the motion alone, which is simpler than motions nearby; "
                 "give dt or dt_max",
                 DerivativeWarning,

@@ -16,7 +16,6 @@ from lierb.kernels.loops import workspace as ws
 from lierb.kernels.loops.lane_between import Part
 from lierb.kernels.loops.lane_state import Lanes, any_of, put_row, row_of
 from lierb.kernels.loops.lane_steps import interval_of
-from lierb.kernels.loops.record import with_rank
 from lierb.kernels.loops.states_in_memory import exchange
 from lierb.kernels.mechanics.passive_elements import UserObservable
 from lierb.kernels.numbers.arithmetic import (
@@ -100,7 +99,7 @@ def take_samples(plan, body, ranked, state, moved, slopes, trial, accepted, lane
             is_last = 1.0 if turn == LAST else 0.0
             exchange(plan, body)
             lanes = sampled(
-                plan, body, there, rows, lanes, trial, theta, part, samples, row, weight, is_last
+                plan, ranked, there, rows, lanes, trial, theta, part, samples, row, weight, is_last
             )
             exchange(plan, body)
         if turn <= LAST:
@@ -169,11 +168,9 @@ def sampled(
     """
     if not plan.samples:
         return lanes
-    record, time, system = lanes.record, inner.time_between(trial, theta), system_of(plan)
-    if plan.jumps:  # the sides of the step, at its ends
-        at = interval_of(plan, trial)
-        time = at.time + theta * at.span
-    body = with_signals(plan, with_rank(plan, body, record), there, lanes.control)
+    record, at, system = lanes.record, interval_of(plan, trial), system_of(plan)
+    time = at.time + theta * at.span  # inside the step, where functions may jump at its ends
+    body = with_signals(plan, body, there, lanes.control)
     seen = system.observed(body, system.motion(body, there, time), time)
     share, selected = weight * _stretch(lanes, trial, part), row_of(plan, rows, ws.SELECTED) > 0.5
     observed, alive = [], record.status == OK
