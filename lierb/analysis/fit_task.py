@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from lierb.analysis.identifiability import Identified, identified
 from lierb.analysis.least_squares import steps_of, triangular
 from lierb.analysis.measurements import Measured, Measurements
-from lierb.analysis.unknowns import Unknowns
+from lierb.analysis.unknowns import Sizes, Unknowns
 from lierb.analysis.varied_runs import Runs
 from lierb.errors import ArgumentError, LierbError
 from lierb.results.failures import Failures
@@ -28,7 +28,7 @@ class Task:
     """Residuals and their derivatives by the coordinates of unknowns."""
 
     def __init__(
-        self, variation: Variation, data: Measurements, runs: Runs, least: Array | None = None
+        self, variation: Variation, data: Measurements, runs: Runs, least: Sizes | None = None
     ) -> None:
         """least : least sizes of the numbers; that of one that becomes zero is no guide."""
         self.variation, self.data, self.runs = variation, data, runs
@@ -83,9 +83,9 @@ class Task:
     @cached_property
     def told(self) -> Identified:
         """Return the unknowns at the base as far as data tell them."""
-        values = np.concatenate([column.scaled for column in self.data.columns])
-        least = DATA_ROUNDING * float(np.linalg.norm(values))
-        return identified(self.slope, self.unknowns.sizes, least)
+        (norm,) = self.data.norms(self.data.count)
+        least = DATA_ROUNDING * float(norm)
+        return identified(self.slope, self.unknowns.unknown_sizes, least)
 
     @property
     def chi2(self) -> float:
@@ -110,7 +110,7 @@ class Task:
         """
         rows = np.column_stack([self.slope[:, free], self.weighted(self.at_base)])
         steps = steps_of(
-            triangular(rows)[None], self.unknowns.sizes[None, free], np.array([np.inf])
+            triangular(rows)[None], self.unknowns.unknown_sizes[None, free], np.array([np.inf])
         )
         freedoms = max(len(rows) - self.told.rank, 1)
         return bool(steps.are_close(np.sqrt([self.chi2 / freedoms])).all())

@@ -205,6 +205,7 @@ def _solved(variation: Variation, data: Measurements, runs: Runs, bounds: Any, m
     parameters = with_directions(variation.parameters, fixed_directions(variation))
     variation = Variation(variation.base, parameters, variation.t0)
     evaluations, task = 0, Task(variation, data, runs)
+    task.unknowns.bound_sizes(task.slope, data.norms(data.count)[0])
     if data.size < task.unknowns.size:
         samples = few_samples(data.size, task.unknowns.size)
         raise ArgumentError(f"data has {samples}; expected as many samples or more")
@@ -213,7 +214,7 @@ def _solved(variation: Variation, data: Measurements, runs: Runs, bounds: Any, m
         x, solution, sides = _minimised(task, bounds, max(most - evaluations, 1))
         evaluations, refusal = evaluations + int(solution.nfev), task.refusal
         moved = Variation(task.varied(x), variation.parameters, variation.t0)
-        nearer = Task(moved, data, runs, before.number_sizes)
+        nearer = Task(moved, data, runs, before.sizes)
         if not nearer.is_better_than(task):
             break
         task = nearer

@@ -53,12 +53,12 @@ class Measured:
         return np.repeat(whole, width, axis=-1)
 
     @property
-    def scaled(self) -> Array:
-        """Return the values over sigma that are present, (samples,)."""
+    def squares(self) -> Array:
+        """Return the sum of the squares of each trajectory's values over sigma, (n,)."""
         values = self.values.reshape(*self.values.shape[:2], -1)
         is_vector = values.shape[-1] == self.quantity.width
         values = values / (self.sigma if is_vector else self.sigma.min())
-        return values[np.isfinite(values)]
+        return np.asarray(np.nansum(values**2, axis=(0, 2)))
 
     def difference(self, result: Result) -> Array:
         """Return run minus data, (times, n, width); NaN without a sample."""
@@ -100,6 +100,11 @@ class Measurements:
     def size(self) -> int:
         """Return the number of residuals."""
         return sum(int(column.present.sum()) for column in self.columns)
+
+    def norms(self, count: int) -> Array:
+        """Return the root of the sum of all squares of `count` trajectories after the others."""
+        squares = np.sum([column.squares for column in self.columns], axis=0)
+        return np.asarray(np.sqrt(squares.reshape(-1, count).sum(axis=1)))
 
 
 def measurements(model: Model, data: Any, sigma: Any) -> Measurements:

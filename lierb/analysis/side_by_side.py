@@ -54,7 +54,8 @@ class Experiments:
         self.fixed = fixed_directions(variation)
         unknowns = Unknowns(variation, count, experiments=self.total)
         self.size, self.shared, self.follow = unknowns.size, unknowns.shared, unknowns.follow
-        self.sizes, self.least, self.bases = unknowns.sizes, unknowns.number_sizes, unknowns.bases
+        self.sizes, self.bases = unknowns.sizes, unknowns.bases  # of the guess
+        self.norms = data.norms(count)  # [experiment]
         present = [column.present.sum((0, 2)) for column in data.columns]
         self.residuals = np.sum(present, axis=0).reshape(-1, count).sum(-1)  # [experiment]
         self.most_steps: int | None = None
@@ -79,7 +80,7 @@ class Experiments:
             k: np.broadcast_to(x, (n, *x.shape[1:])).copy() for k, x in point.items()
         } | {
             "factor": np.zeros((n, size + 1, size + 1)), "chi2": np.full(n, np.inf),
-            "slope": np.zeros((n, shared, shared)), "sizes": self.sizes.copy(),
+            "slope": np.zeros((n, shared, shared)), "sizes": np.ones((n, size)),
             "scales": np.ones((n, size)), "bases": self.bases.copy(),
             "reason": np.full(n, "", dtype=object),
         }  # fmt: skip
@@ -116,7 +117,7 @@ class Experiments:
         bases : those by which "factor" differentiates; others may span the same directions.
         """
         unknowns = Unknowns(
-            variation, self.count, self.least[members], len(members), self.follow.part(members)
+            variation, self.count, self.sizes.part(members), len(members), self.follow.part(members)
         )
         if bases is not None:
             unknowns.bases = bases
@@ -171,10 +172,14 @@ class Experiments:
         if self.most_steps is None:
             self.most_steps = self.runs.most_steps(result.summary)
         factors, is_whole = self._factors(members, result, unknowns)
+        if not steps.any():
+            unknowns.bound_sizes(factors[..., :-1], self.norms[members])
+            for own, bounded in zip(self.sizes, unknowns.sizes, strict=True):
+                own[members] = bounded
         chi2 = np.where(is_whole, np.sum(factors[..., -1] ** 2, axis=-1), np.inf)
         return self.point_of(variation.base) | {
             "factor": factors, "chi2": chi2, "bases": unknowns.bases,
-            "slope": unknowns.slope(unknowns.base), "sizes": unknowns.sizes,
+            "slope": unknowns.slope(unknowns.base), "sizes": unknowns.unknown_sizes,
             "scales": unknowns.scales, "reason": self._reasons(result, is_whole),
         }  # fmt: skip
 

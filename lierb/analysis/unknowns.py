@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from functools import cached_property
 from math import prod
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -37,6 +37,17 @@ class Charted(NamedTuple):
     given: dict[str, Array]
 
 
+class Sizes(NamedTuple):
+    """Typical sizes of all numbers of the model, and of the unknowns of starts."""
+
+    numbers: Array
+    starts: Array
+
+    def part(self, which: Any) -> Sizes:
+        """Return those of some experiments."""
+        return Sizes(self.numbers[which], self.starts[which])
+
+
 class Unknowns:
     """Unknowns of one experiment, or of each of several, which have a leading axis in all arrays.
 
@@ -48,11 +59,11 @@ class Unknowns:
         self,
         variation: Variation,
         count: int,
-        least: Array | None = None,
+        least: Sizes | None = None,
         experiments: int | None = None,
         follow: Followed | None = None,
     ) -> None:
-        """least : least sizes of the numbers, `number_sizes` of the guess.
+        """least : `sizes` of the guess; those of numbers are the least ones. None for a guess.
 
         experiments : number of experiments with unknowns of their own; None for a single one,
         without the axis.
@@ -255,18 +266,43 @@ class Unknowns:
     # ---- sizes and names -----------------------------------------------------------------------
 
     @cached_property
-    def number_sizes(self) -> Array:
-        """Return the typical size of each number of the model, that of its parameter."""
-        sizes = np.ones((*self.lead, self.number_count))
-        for p in self.numbers:
-            largest = np.abs(self.values[p.name]).max(axis=-1, keepdims=True)
-            sizes[..., self.slices[p.name]] = np.where(largest > 0.0, largest, 1.0)
-        return sizes if self._least is None else np.maximum(sizes, self._least)
+    def sizes(self) -> Sizes:
+        """Return the typical sizes: of a number that of its parameter, of others 1."""
+        if self._least is not None:
+            return self._least._replace(numbers=np.maximum(self._largest, self._least.numbers))
+        numbers = np.where(self._largest > 0.0, self._largest, 1.0)
+        return Sizes(numbers, np.ones((*self.lead, self.size - self.shared)))
 
     @cached_property
+    def _largest(self) -> Array:
+        """Return the largest number of each number's parameter at the base."""
+        largest = np.zeros((*self.lead, self.number_count))
+        for p in self.numbers:
+            own = np.abs(self.values[p.name]).max(axis=-1, keepdims=True)
+            largest[..., self.slices[p.name]] = own
+        return largest
+
+    def bound_sizes(self, jacobian: Array, most: Array) -> None:
+        """Bound the sizes of starts and of parameters that are zero, which the guess does not tell.
+
+        A change by its size changes the residuals by `most` at most.
+
+        jacobian : of the weighted residuals by the unknowns.   most : norm of the weighted data.
+        """
+        norms = np.linalg.norm(jacobian, axis=-2)
+        largest = np.asarray(most)[..., None] / np.where(norms > 0.0, norms, np.inf)
+        largest = np.where(largest > 0.0, largest, np.inf)
+        numbers, starts = self.sizes.numbers.copy(), self.sizes.starts
+        free, of_numbers, of_starts = self.follow.free, *np.split(largest, [self.shared], axis=-1)
+        is_open = self._largest[..., free] == 0.0
+        bounded = np.minimum(numbers[..., free], of_numbers)
+        numbers[..., free] = np.where(is_open, bounded, numbers[..., free])
+        self.sizes = Sizes(numbers, np.minimum(starts, of_starts))
+
+    @property
     def number_scales(self) -> Array:
         """Return the typical size of the coordinate of each number; logarithms have 1."""
-        scales = self.number_sizes.copy()
+        scales = self.sizes.numbers.copy()
         for body in self.charted:
             for name in ("mass", "inertia"):
                 if name in body.unknown:
@@ -274,18 +310,17 @@ class Unknowns:
         return scales
 
     @property
-    def sizes(self) -> Array:
-        """Return the typical size of each unknown, 1 for a start."""
-        return self._with_starts(self.number_sizes)
+    def unknown_sizes(self) -> Array:
+        """Return the typical size of each unknown."""
+        return self._of_unknowns(self.sizes.numbers)
 
     @property
     def scales(self) -> Array:
         """Return the typical size of each coordinate."""
-        return self._with_starts(self.number_scales)
+        return self._of_unknowns(self.number_scales)
 
-    def _with_starts(self, sizes: Array) -> Array:
-        starts = np.ones((*self.lead, self.size - self.shared))
-        return np.concatenate((sizes[..., self.follow.free], starts), -1)
+    def _of_unknowns(self, numbers: Array) -> Array:
+        return np.concatenate((numbers[..., self.follow.free], self.sizes.starts), -1)
 
     @property
     def labels(self) -> tuple[str, ...]:
@@ -312,7 +347,7 @@ class Unknowns:
         values = np.zeros((*self.lead, len(self.labels)))
         for p in self.numbers:
             own, part = self.values[p.name], self.slices[p.name]
-            is_rounding = np.abs(own) < ROUNDING * self.number_sizes[..., part]
+            is_rounding = np.abs(own) < ROUNDING * self.sizes.numbers[..., part]
             values[..., part] = np.where(is_rounding, 0.0, own)
         return values
 

@@ -502,3 +502,59 @@ def test_memory_is_estimated_before(monkeypatch):
     monkeypatch.setattr("lierb.support.memory.ALWAYS", 0)
     with pytest.raises(lierb.errors.MemoryLimitError, match="a run of the fits takes"):
         fitted(pendulum(), measured(4))
+
+
+@pytest.mark.parametrize("guess", [(0.0, 0.3), (0.0, 0.0)])
+def test_a_guess_of_zero_in_a_tiny_system_has_a_size(guess):
+    """A pendulum of 1 mm and 1 mg moves as one of 1 m does under a thousandth of the gravity."""
+    length, inertia = 1e-3, 1e-6 * 1e-3**2
+    hinge = lierb.joints.revolute(axis=(0.0, 1.0, 0.0), body_point=(0.0, 0.0, 0.5 * length))
+    spring = lierb.forces.torsional_spring(damping=guess[0] * inertia, stiffness=guess[1] * inertia)
+    tiny = lierb.Problem(
+        lierb.bodies.box((0.1 * length, 0.1 * length, length), mass=1e-6), hinge,
+        (0.0, 0.0, -9.81 * length), spring,
+    )  # fmt: skip
+    data = measured(2)
+    wanted = fitted(pendulum(), data)
+    many = fitted(tiny, data, pose0=hinge.pose([1.0]))
+    single = lierb.fit(
+        tiny, {"t": TIMES, "omega": data["omega"][:, :1]}, (DAMPING, STIFFNESS, "omega0"),
+        pose0=hinge.pose([1.0]), sigma={"omega": SIGMA}, **RUN,
+    )  # fmt: skip
+    assert many.converged.all()
+    assert single.converged
+    assert not single.unidentifiable
+    for name in (DAMPING, STIFFNESS):
+        off = 1e-4 * wanted.standard_errors[name]  # iterations end within thousandths of them
+        assert np.all(np.abs(many.estimate[name] / inertia - wanted.estimate[name]) < off)
+        assert np.all(np.abs(single.estimate[name] / inertia - wanted.estimate[name][0]) < off[0])
+
+
+@pytest.mark.slow
+def test_starts_have_the_size_of_the_system():
+    """A ball of 1e-10 m, 1e-9 m from its anchor; its turns have no effect."""
+    size = 1e-9
+    mass, start = 1e3 * size**3, np.eye(4)
+
+    def ball(stiffness, damping):
+        spring = lierb.forces.spring_damper(
+            stiffness=stiffness * mass, damping=damping * mass, length=0.0
+        )
+        body = lierb.bodies.sphere(0.1 * size, mass=mass)
+        return lierb.Problem(body, lierb.joints.free(), (0.0, 0.0, 0.0), spring)
+
+    start[:3, 3] = size * np.array([1.0, 0.2, 0.1])
+    moved = lierb.integrate(
+        ball(2.0, 0.1), pose0=start, t_end=5.0, save_at=TIMES, record="state", **RUN
+    )
+    noise = np.random.default_rng(0).standard_normal((len(TIMES), 1, 3))
+    data = {"t": TIMES, "position": moved.position + 0.01 * size * noise}
+    start[:3, 3] = size * np.array([0.9, 0.1, 0.2])
+    names = ["spring_damper.stiffness", "spring_damper.damping", "pose0", "twist0"]
+    fit = lierb.fit(
+        ball(1.9, 0.0), data, names, sigma={"position": 0.01 * size}, pose0=start,
+        max_evaluations=30, **RUN,
+    )  # fmt: skip
+    assert fit.chi2 < 1.5 * fit.freedoms  # it was 50 times as much, and called a minimum
+    for name, exact in zip(names[:2], (2.0, 0.1), strict=True):
+        assert abs(fit.estimate[name][0] / mass - exact) < 5.0 * fit.standard_errors[name][0] / mass
