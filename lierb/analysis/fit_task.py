@@ -125,8 +125,9 @@ class Task:
         if not len(self.told.null):
             return np.zeros(0)
         unknowns = self.unknowns
-        norms = np.linalg.norm(self._by_coordinates(self.at_base, unknowns.base), axis=0)
-        return PULL * np.where(norms > 0.0, norms, norms.max() or 1.0)
+        jacobian, scales = self._by_coordinates(self.at_base, unknowns.base), unknowns.scales
+        norms = np.linalg.norm(jacobian * scales, axis=0)
+        return PULL * np.where(norms > 0.0, norms, norms.max() or 1.0) / scales
 
     def residuals(self, x: Array) -> Array:
         """Return the weighted residuals; infinite if no body has the numbers, or the run fails."""
