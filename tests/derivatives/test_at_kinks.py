@@ -126,3 +126,34 @@ def test_a_root_at_zero_has_no_slope(air):
         np.testing.assert_allclose(
             found.sensitivity("pose", by), expected.sensitivity("pose", of_drag), atol=1e-13
         )
+
+
+@pytest.mark.filterwarnings("ignore::lierb.errors.DerivativeWarning")  # of stops with dampers
+@pytest.mark.parametrize("options", [{"dt": 0.01}, {"rtol": 1e-9}])
+@pytest.mark.parametrize("stop", [0.3, -0.7])
+@pytest.mark.parametrize("off", [0.0, 1e-16])
+@pytest.mark.parametrize("damping", [0.0, 0.3])
+def test_the_direction_decides_on_a_stop(stop, off, damping, options):
+    """A mass starts on a stop: one way it is free, the other way an oscillator with a damper.
+
+    Its first stage was of the other kind: derivatives by the stop were off by 0.9.
+    """
+    other, stiffness, end = -np.sign(stop) * 2.0, 2.0, 0.8
+    limits = {"lower": min(stop, other), "upper": max(stop, other)}
+    force = lierb.forces.slide_limit(**limits, stiffness=stiffness, damping=damping)
+    made = lierb.Problem(BALL, SLIDE, (0.0, 0.0, 0.0), force)
+    by, number = [f"slide_limit.{'upper' if stop > 0.0 else 'lower'}"], np.sign(stop)
+    result = lierb.integrate(
+        made, pose0=SLIDE.pose([stop + number * off]), t_end=end, with_respect_to=by,
+        twist0=np.array([[0.0, 0.0, 0.0, 0.0, 0.0, sign * number] for sign in (1.0, -1.0)]),
+        **options,
+    )  # fmt: skip
+    by_stop = result.sensitivity("pose", by[0]).reshape(-1, 2, 6)[-1, :, 5]
+    decay = 0.5 * damping / MASS
+    turn = np.sqrt(stiffness / MASS - decay**2)
+    fall = np.exp(-decay * end)
+    into = number * fall * np.sin(turn * end) / turn
+    places = result.position.reshape(-1, 2, 3)[-1, :, 2]
+    np.testing.assert_allclose(places, [stop + into, stop - number * end], rtol=1e-8)
+    if not damping:  # which would act at another instant
+        np.testing.assert_allclose(by_stop, [1.0 - np.cos(turn * end), 0.0], rtol=1e-7, atol=1e-12)

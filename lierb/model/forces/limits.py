@@ -12,7 +12,7 @@ from lierb.errors import ArgumentError
 from lierb.kernels.mechanics.elements import Tangent
 from lierb.kernels.mechanics.kinks import Bound
 from lierb.kernels.mechanics.newton_euler import Motion, Wrench
-from lierb.kernels.numbers.arithmetic import PI, absolute, fma, maximum, minimum, where
+from lierb.kernels.numbers.arithmetic import PI, fma, where
 from lierb.model.forces.built_in import Parameter
 from lierb.model.forces.joint_axes import AlongJoint, AtJoint, sliding
 from lierb.model.functions.wrenches import Force
@@ -21,6 +21,7 @@ from lierb.support.arrays import Array, first_bad
 __all__ = ["joint_limit", "slide_limit"]
 
 FAR = 1e100  # rad, m: beyond any coordinate
+ON_STOP = 1e-15  # distance from a stop that is rounding, relative to half the range
 
 
 class JointLimit(AtJoint):
@@ -44,12 +45,19 @@ class JointLimit(AtJoint):
         _require_order(parameters["lower"], parameters["upper"], turn)
 
     def _beyond(self, placed: Any, x: Motion) -> tuple[Any, Any]:
-        """Signed distance beyond a stop, and the damping there."""
+        """Signed distance beyond a stop, and the damping there.
+
+        A joint on a stop, as at a start, is beyond it unless it moves away: derivatives are those
+        of the motion to come.
+        """
         lower, upper, _, damping = placed
         half = 0.5 * (upper - lower)
-        place = self.place(x, 0.5 * (lower + upper))
-        beyond = maximum(place - half, 0.0) + minimum(place + half, 0.0)
-        return beyond, where(absolute(place) > half, damping, 0.0)
+        place, rate = self.place(x, 0.5 * (lower + upper)), self.rate(x)
+        above, below, near = place - half, place + half, ON_STOP * half
+        is_above = (above > near) | ((above >= -near) & (rate >= 0.0))
+        is_below = (below < -near) | ((below <= near) & (rate <= 0.0))
+        beyond = where(is_above, above, where(is_below, below, 0.0))
+        return beyond, where(is_above | is_below, damping, 0.0)
 
     def wrench(self, placed: Any, x: Motion) -> Wrench:
         beyond, damping = self._beyond(placed, x)
