@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
@@ -92,18 +92,9 @@ class AdjointRun(Run[Any]):
         kept = 8 * self.plan.lanes * self.rows[1] * self.steps
         return 1 if kept <= MOST_KEPT else math.isqrt(self.steps)
 
-    @cached_property
+    @property
     def rows(self) -> tuple[int, int]:
-        """Return how many rows of memory the gains and a state take."""
-        system = system_of(self.tag.plain)
-        given = [np.atleast_1d(x) for x in self.inputs.numbers(0)]
-        tape = Tape()
-        with np.errstate(all="ignore"):
-            of_inputs = marked(system_of(self.plan).body(tape.opened(given)))
-            at = Interval(given[0], given[0], given[0])
-            held = begun(self.tag.plain, system.body(given), given, at, given[0])
-        numbers = len(moving(held))
-        return self.tag.inputs + marks(of_inputs) + numbers, numbers
+        return rows_of(self.tag)
 
     def memory_of_thread(self) -> dict[str, NDArray[Any]]:
         """Return a thread's memory for gains and states."""
@@ -122,6 +113,18 @@ class AdjointRun(Run[Any]):
             "step_times": self.step_times, "ended_by": self.ended_by, "gains": self.gains,
             "noise_indices": noise,
         }  # fmt: skip
+
+
+@lru_cache(256)
+def rows_of(tag: Adjoint) -> tuple[int, int]:
+    """Return how many rows of memory the gains and a state take."""
+    system, one = system_of(tag.plain), np.ones(1)
+    given = [one] * system.inputs.count
+    with np.errstate(all="ignore"):
+        of_inputs = marked(system_of(tag.plan).body(Tape().opened(given)))
+        held = begun(tag.plain, system.body(given), given, Interval(one, one, one), one)
+    numbers = len(moving(held))
+    return tag.inputs + marks(of_inputs) + numbers, numbers
 
 
 def gains_of(
