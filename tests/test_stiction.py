@@ -154,6 +154,35 @@ def test_derivatives_are_those_of_differences():
         assert np.ravel(found)[2] == pytest.approx(expected, rel=1e-5), name  # of differences
 
 
+@pytest.mark.slow
+def test_friction_at_rest_is_that_of_sliding_where_none_is_given():
+    """`static` stayed at the number that `coulomb` had when the force was made."""
+
+    def braked(coulomb):
+        brake = lierb.forces.joint_stiction(
+            coulomb=coulomb, stiffness=2e3, damping=5.0, stribeck=1.0
+        )
+        body = lierb.Body(1.0, (0.02, 0.02, 0.02))
+        return lierb.Problem(body, lierb.joints.revolute(), forces=brake)
+
+    run, by, h = (
+        {"twist0": (0.0, 0.0, 3.0, 0.0, 0.0, 0.0), "dt": 1e-4},
+        "joint_stiction.coulomb",
+        1e-4,
+    )
+    result = lierb.integrate(braked(0.3), **run, t_end=0.16, with_respect_to=by)
+    ahead, behind = (lierb.integrate(braked(0.3 + x), **run, t_end=0.16).omega for x in (h, -h))
+    slope = result.sensitivity("twist", by)[0, 2, 0]
+    assert slope == pytest.approx((ahead - behind)[0, 2] / (2.0 * h), rel=1e-6)
+    t = np.linspace(0.02, 0.16, 8)
+    moved = lierb.integrate(braked(0.3), **run, t_end=0.16, save_at=t, record="state")
+    for guess in (0.25, 0.35):
+        fit = lierb.fit(braked(guess), {"t": t, "omega": moved.omega}, by, **run)
+        assert fit.converged
+        assert fit.estimate[by] == pytest.approx(0.3, rel=1e-9)
+    lierb.propagate(braked(0.3), {by: 0.01}, by, [0.1], "omega", **run)  # was refused
+
+
 def test_other_numbers_and_states_of_their_own():
     changed = wheel().with_({"joint_stiction.coulomb": [0.5, 1.0]})
     assert changed.batch_size() == 2

@@ -78,7 +78,8 @@ class Measured:
 
     def part(self, trajectories: NDArray[np.int64]) -> Measured:
         """Return the samples of some trajectories."""
-        return replace(self, values=self.values[:, trajectories])
+        quantity = self.quantity.of_trajectories(trajectories)
+        return replace(self, quantity=quantity, values=self.values[:, trajectories])
 
 
 @dataclass(frozen=True)

@@ -7,17 +7,17 @@ rotation and a pose are in body axes, log(R₁ᵀR₂) and log(C₁⁻¹C₂).
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import prod
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lierb.errors import ArgumentError, unknown_name
 from lierb.lie import Group, se3, so3
 from lierb.model.base import Model
 from lierb.model.joints.coordinates import motions_of
-from lierb.model.mechanism.mechanism import Mechanism
 from lierb.model.problem import Problem
 from lierb.results.result import Result
 from lierb.runs.parameters import POSE_UNITS, TWIST_UNITS, Parameter
@@ -48,6 +48,10 @@ class Quantity:
         """Return the prefix of the link's columns."""
         link, dot, _ = self.name.rpartition(".")
         return link + dot
+
+    def of_trajectories(self, which: NDArray[np.int64]) -> Quantity:
+        """Return the quantity of some trajectories."""
+        return self
 
     @property
     def width(self) -> int:
@@ -150,18 +154,31 @@ class Coordinates(Quantity):
 
     def _by_joint(self, function: str, *given: dict[str, Array]) -> Array:
         """Call a function of the model on all rows at once; those of failed runs are NaN."""
-        assert isinstance(self.model, (Problem, Mechanism))
         first = next(iter(given[-1].values()))
         lead = first.shape[:2]
         known = np.isfinite(first).all((-2, -1))
+        model: Any = self.model
+        if self.is_batched:
+            model = model.part(np.nonzero(known)[1])
         flat = [{link.rstrip("."): array[known] for link, array in each.items()} for each in given]
         values = np.full((*lead, self.width), np.nan)
-        if isinstance(self.model, Problem):
-            rows = getattr(self.model.joint, function)(*(each[""] for each in flat))
+        if isinstance(model, Problem):
+            rows = getattr(model.joint, function)(*(each[""] for each in flat))
         else:
-            rows = getattr(self.model, function)(*flat)[self.link.rstrip(".")]
+            rows = getattr(model, function)(*flat)[self.link.rstrip(".")]
         values[known] = rows
         return values
+
+    @property
+    def is_batched(self) -> bool:
+        """Return whether the model differs from trajectory to trajectory."""
+        return self.model is not None and (self.model.batch_size() or 1) > 1
+
+    def of_trajectories(self, which: NDArray[np.int64]) -> Coordinates:
+        if not self.is_batched:
+            return self
+        assert self.model is not None
+        return replace(self, model=self.model.part(which))
 
 
 def rotations(result: Result, link: str) -> Array:

@@ -66,7 +66,7 @@ def test_steps_close_in_on_the_kink_of_a_sine(part):
         h = part * release
         change, rate = 0.1 * np.sin(turn * h), 0.1 * turn * np.cos(turn * h)
         bound = travel_to_kink(
-            half + 1e-12, 0.1 * turn, Travelled(change, rate), h, (-half, half, 1e100)
+            half + 1e-12, 0.1 * turn, Travelled(change, rate), h, (-half, half), half
         )
         longest = bound.distance / bound.rate
         if h <= bound.slack * longest:
@@ -157,3 +157,31 @@ def test_the_direction_decides_on_a_stop(stop, off, damping, options):
     np.testing.assert_allclose(places, [stop + into, stop - number * end], rtol=1e-8)
     if not damping:  # which would act at another instant
         np.testing.assert_allclose(by_stop, [1.0 - np.cos(turn * end), 0.0], rtol=1e-7, atol=1e-12)
+
+
+@pytest.mark.parametrize("options", [{"rtol": 1e-9}, {"dt": 1e-4}])
+@pytest.mark.parametrize("turns", [None, "turned"])
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_stop_does_not_depend_on_a_far_one(sign, turns, options):
+    """A mass or a wheel meets one of two stops; the other one is out of reach.
+
+    Distances were taken from the middle of both: it passed a stop at 0 beside one at 1e18.
+    """
+    far, turn, start, speed, end = np.array([1.0, 1e9, 1e30]), 20.0, 0.1, 1.0, 0.2
+    ends = {"lower": 0.0, "upper": far} if sign > 0.0 else {"lower": -far, "upper": 0.0}
+    if turns:
+        joint, states = lierb.joints.revolute(axis=(0.0, 0.0, 1.0)), lierb.turns(turns)
+        force = lierb.forces.joint_limit(**ends, stiffness=turn**2 * 0.02, turns=turns)
+        twist0 = (0.0, 0.0, -sign * speed, 0.0, 0.0, 0.0)
+    else:
+        joint, states = SLIDE, ()
+        force = lierb.forces.slide_limit(**ends, stiffness=turn**2 * MASS)
+        twist0 = (0.0, 0.0, 0.0, 0.0, 0.0, -sign * speed)
+    made = lierb.Problem(BALL, joint, forces=force, states=states)
+    result = lierb.integrate(
+        made, pose0=joint.pose([sign * start]), twist0=twist0, t_end=end, **options
+    )
+    beyond = speed / turn * np.sin(turn * (end - start / speed))
+    turned = np.arctan2(result.rotation[:, 1, 0], result.rotation[:, 0, 0])
+    places = turned if turns else result.position[:, 2]
+    np.testing.assert_allclose(places, -sign * beyond, rtol=1e-6)

@@ -612,3 +612,29 @@ def test_a_guess_that_ends_before_the_data_is_told():
     data = {"t": t, "position": -2.0 * t[:, None] ** 2 * np.array([0.0, 0.0, 1.0])}
     with pytest.raises(ArgumentError, match=r"guess is not finite .* event ends it at t = 0\.34"):
         lierb.fit(made, data, "drag.linear")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("fit", [lierb.fit, lierb.fits])
+def test_coordinates_of_trajectories_with_joints_of_their_own(fit):
+    """Rows of all times were put into joints as if each were a body: refused, or mixed up."""
+    axes = np.array([[0.0, 1.0, 0.0], [0.0, 0.8, 0.6], [0.6, 0.8, 0.0]])
+    joint = lierb.joints.revolute(axis=axes, body_point=(0.0, 0.0, 0.5))
+
+    def held(damping):
+        body = lierb.Body([1.0, 1.2, 0.9], (0.1, 0.1, 0.1))
+        spring = lierb.forces.torsional_spring(damping=damping)
+        return lierb.Problem(body, joint, (0.0, 0.0, -9.81), spring)
+
+    t = np.linspace(0.2, 1.0, 5)
+    run = {"pose0": joint.pose([[0.5]] * 3), "dt": 1e-2}
+    moved = lierb.integrate(held(0.02), t_end=1.0, save_at=t, record="state", **run)
+    names = "torsional_spring.damping"
+    by_rate = fit(held(0.01), {"t": t, "omega": moved.omega}, names, **run)
+    poses = np.zeros((5, 3, 4, 4))
+    poses[..., :3, :3], poses[..., :3, 3] = moved.rotation.reshape(5, 3, 3, 3), moved.position
+    poses[..., 3, 3] = 1.0
+    angles = np.stack([joint.coordinates(each) for each in poses])
+    by_angle = fit(held(0.01), {"t": t, "coordinates": angles}, names, **run)
+    for found in (by_rate, by_angle):
+        np.testing.assert_allclose(np.ravel(found.estimate[names]), 0.02, rtol=1e-8)

@@ -12,7 +12,8 @@ from lierb.kernels.numbers.number import Number
 BEFORE = 0.999
 LOOSE = 1.1  # factor by which a step may exceed a bound by a velocity, which changes in it
 TIGHT = 1.0005  # the same for a kink, which would be within the step
-LEAST = 1e-11  # least distance to a kink, of its coordinate: steps pass one that is nearer
+LEAST = 1e-11  # least distance to a kink, of a coordinate: steps pass one that is nearer
+FAR = 1e100  # rad, m: distance where there is no kink
 NEWTON_STEPS = 3
 NEAR = 1.5  # part of a step up to which its cubic is used
 
@@ -36,7 +37,7 @@ class Travelled(NamedTuple):
 
 
 def travel_to_kink(
-    place: Any, rate: Any, tried: Travelled | None, h: Any, kinks: tuple[Any, ...]
+    place: Any, rate: Any, tried: Travelled | None, h: Any, kinks: tuple[Any, ...], unit: Any
 ) -> Bound:
     """Bound that ends a step just before the next kink of a force.
 
@@ -44,27 +45,23 @@ def travel_to_kink(
     is that of a uniform motion. Afterwards it is that of the cubic with the places and rates of
     both ends; a shorter step, to this time, has a better one.
 
-    place, rate : coordinate at the start, relative to the middle of the kinks, and its rate.
+    place, rate : coordinate at the start, and its rate.
     tried : the end of a step of length h, s; None before it is tried.
-    kinks : coordinates ahead in the positive direction, ascending; their negatives are those in the
-        other one. The last one is greater than any coordinate.
+    kinks : coordinates, ascending.   unit : a coordinate of usual size.
     """
-    *near, last = kinks
-    least = LEAST * maximum(absolute(near[-1]), absolute(place))
-
-    def distance_to_kink(ahead: Any) -> Any:
-        distance: Any = last - ahead
-        for kink in reversed(near):
-            distance = where(kink > ahead, kink - ahead, distance)
-        return maximum(distance, least)
-
+    least = LEAST * maximum(unit, absolute(place))
+    above = below = FAR
+    for kink in reversed(kinks):
+        above = where(kink > place, kink - place, above)
+    for kink in kinks:
+        below = where(kink < place, place - kink, below)
+    above, below = maximum(above, least), maximum(below, least)
     if tried is None:
-        ahead = where(rate >= 0.0, place, -place)
-        return Bound(absolute(rate), BEFORE * distance_to_kink(ahead))
+        return Bound(absolute(rate), BEFORE * where(rate >= 0.0, above, below))
     h, forward = where(h > 0.0, h, 1.0), where(rate == 0.0, tried.rate, rate) >= 0.0
-    ahead, change = where(forward, place, -place), where(forward, tried.change, -tried.change)
+    distance, behind = where(forward, above, below), where(forward, below, above)
+    change = where(forward, tried.change, -tried.change)
     speed, end = absolute(rate), where(forward, tried.rate, -tried.rate)
-    distance, behind = distance_to_kink(ahead), distance_to_kink(-ahead)
     # With uniform acceleration d is passed in τ, d = speed τ + gain τ²/2; d/τ is the mean speed.
     gain = (end - speed) / h
     square = fma(2.0 * gain, distance, speed * speed)

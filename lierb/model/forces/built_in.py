@@ -76,7 +76,8 @@ class BuiltIn(Element):
         return Force.of(self.name, self, values)
 
     def require_fit(self, parameters: Mapping[str, Array]) -> None:
-        for name in (n for n, p in self.parameters.items() if not p.is_signed):
+        own = self.parameters
+        for name in (x for x in self.shapes if x in own and not own[x].is_signed):
             array = parameters[name]
             for body, label in first_bad(name, array < 0.0):
                 number = array.flat[body]

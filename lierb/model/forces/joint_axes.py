@@ -59,9 +59,14 @@ class AtJoint(BuiltIn, is_abstract=True):
         return fma(-2.0 * PI, rint(turn * (0.5 / PI)), turn)  # in [−π, π]
 
     def to_kink(
-        self, start: Motion, end: Motion, h: Any, middle: Any, kinks: tuple[Any, ...]
+        self, start: Motion, end: Motion, h: Any, middle: Any, kinks: tuple[Any, ...], size: Any
     ) -> Bound:
-        """Return the bound of `travel_to_kink`; `end` is `start` before a step is tried."""
+        """Return the bound of `travel_to_kink`.
+
+        end : `start` before a step is tried.   kinks : relative to `middle`, ascending.
+        size : usual size of a slide, m.
+        """
+        unit = PI if isfinite(self.whole_turn) else size
         place, rate, tried = self.place(start, middle), self.rate(start), None
         if end is not start:
             change, later = self.place(end, middle) - place, self.rate(end)
@@ -69,7 +74,7 @@ class AtJoint(BuiltIn, is_abstract=True):
                 lacking = fma(0.5 * h, rate + later, -change)
                 change = fma(self.whole_turn, rint(lacking * (1.0 / self.whole_turn)), change)
             tried = Travelled(change, later)
-        return travel_to_kink(place, rate, tried, h, kinks)
+        return travel_to_kink(place, rate, tried, h, kinks, unit)
 
     def pushed(self, size: Any) -> Wrench:
         return (ZERO, ZERO, size), ZERO3

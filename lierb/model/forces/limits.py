@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from math import isfinite
 from typing import Any, ClassVar
 
 import numpy as np
@@ -12,7 +13,7 @@ from lierb.errors import ArgumentError
 from lierb.kernels.mechanics.elements import Tangent
 from lierb.kernels.mechanics.kinks import Bound
 from lierb.kernels.mechanics.newton_euler import Motion, Wrench
-from lierb.kernels.numbers.arithmetic import PI, fma, where
+from lierb.kernels.numbers.arithmetic import PI, absolute, fma, minimum, where
 from lierb.model.forces.built_in import Parameter
 from lierb.model.forces.joint_axes import AlongJoint, AtJoint, sliding
 from lierb.model.functions.wrenches import Force
@@ -20,8 +21,7 @@ from lierb.support.arrays import Array, first_bad
 
 __all__ = ["joint_limit", "slide_limit"]
 
-FAR = 1e100  # rad, m: beyond any coordinate
-ON_STOP = 1e-15  # distance from a stop that is rounding, relative to half the range
+ON_STOP = 1e-15  # distance from a stop that is rounding, relative to its coordinate
 
 
 class JointLimit(AtJoint):
@@ -41,7 +41,7 @@ class JointLimit(AtJoint):
 
     def require_fit(self, parameters: Mapping[str, Array]) -> None:
         super().require_fit(parameters)
-        turn = np.inf if self.turns else self.whole_turn
+        turn = self.whole_turn if self.is_wrapped else np.inf
         _require_order(parameters["lower"], parameters["upper"], turn)
 
     def _beyond(self, placed: Any, x: Motion) -> tuple[Any, Any]:
@@ -50,10 +50,9 @@ class JointLimit(AtJoint):
         A joint on a stop, as at a start, is beyond it unless it moves away: derivatives are those
         of the motion to come.
         """
-        lower, upper, _, damping = placed
-        half = 0.5 * (upper - lower)
-        place, rate = self.place(x, 0.5 * (lower + upper)), self.rate(x)
-        above, below, near = place - half, place + half, ON_STOP * half
+        middle, low, high = self.stops(placed)
+        place, rate, damping = self.place(x, middle), self.rate(x), placed[3]
+        above, below, near = place - high, place - low, ON_STOP * absolute(place)
         is_above = (above > near) | ((above >= -near) & (rate >= 0.0))
         is_below = (below < -near) | ((below <= near) & (rate <= 0.0))
         beyond = where(is_above, above, where(is_below, below, 0.0))
@@ -70,16 +69,27 @@ class JointLimit(AtJoint):
     def travel(
         self, placed: Any, start: Motion, end: Motion, h: Any, size: Any
     ) -> tuple[Bound, ...]:
-        lower, upper = placed[:2]
-        half = 0.5 * (upper - lower)
-        kinks = -half, half, *self.farther(half)
-        return (self.to_kink(start, end, h, 0.5 * (lower + upper), kinks),)
+        middle, low, high = self.stops(placed)
+        kinks: tuple[Any, ...] = low, high
+        if self.is_wrapped:  # half a turn from the middle, and then the other stop
+            kinks = -2.0 * PI + high, -PI, low, high, PI, 2.0 * PI + low
+        return (self.to_kink(start, end, h, middle, kinks, minimum(size, 0.5 * (high - low))),)
 
-    def farther(self, half: Any) -> tuple[Any, ...]:
-        """Kinks beyond the upper stop: half a turn from the middle, and then the lower stop."""
-        if self.turns:
-            return (FAR,)
-        return PI, 2.0 * PI - half
+    @property
+    def is_wrapped(self) -> bool:
+        """Return whether the pose alone gives the coordinate, up to whole turns."""
+        return not self.turns and isfinite(self.whole_turn)
+
+    def stops(self, placed: Any) -> tuple[Any, Any, Any]:
+        """Return the coordinate from which others count, and those of the stops.
+
+        It is the middle where the coordinate is wrapped, otherwise 0: one of the stops may be far.
+        """
+        lower, upper = placed[:2]
+        if not self.is_wrapped:
+            return 0.0, lower, upper
+        half = 0.5 * (upper - lower)
+        return 0.5 * (lower + upper), -half, half
 
     def energy(self, placed: Any, x: Motion) -> Any:
         beyond, _ = self._beyond(placed, x)
@@ -95,10 +105,6 @@ class SlideLimit(AlongJoint, JointLimit):
 
     name = "slide_limit"
     parameters: ClassVar = sliding(JointLimit.parameters)
-
-    def farther(self, half: Any) -> tuple[Any, ...]:
-        """Return no kinks beyond the upper stop."""
-        return (FAR,)
 
 
 def joint_limit(

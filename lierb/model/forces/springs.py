@@ -169,7 +169,7 @@ class TorsionalSpring(JointSpring):
         if self.turns:
             return ()
         # the torque jumps half a turn from where the spring is slack
-        return (self.to_kink(start, end, h, placed[2], (PI, 3.0 * PI)),)
+        return (self.to_kink(start, end, h, placed[2], (-PI, PI), size),)
 
 
 def torsional_spring(

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from lierb.errors import ArgumentError
 from lierb.kernels.functions.elementary import exp
-from lierb.kernels.functions.shapes import Shapes
+from lierb.kernels.functions.shapes import Shape, Shapes
 from lierb.kernels.mechanics.elements import Tangent
 from lierb.kernels.mechanics.newton_euler import Motion, Wrench
 from lierb.kernels.mechanics.passive_elements import AddedStates
@@ -30,8 +30,12 @@ BRISTLE = "bristle"
 
 @dataclass(frozen=True)
 class JointStiction(AtJoint, AddedStates):
-    """LuGre friction about the joint axis; its state is the deflection of the bristle."""
+    """LuGre friction about the joint axis; its state is the deflection of the bristle.
 
+    has_static : False if friction at rest is that of sliding, and no parameter.
+    """
+
+    has_static: bool = True
     states: Shapes = ((BRISTLE, ()),)
     name: ClassVar = "joint_stiction"
     state_unit: ClassVar = "rad"
@@ -46,6 +50,11 @@ class JointStiction(AtJoint, AddedStates):
     }
 
     @property
+    def shapes(self) -> dict[str, Shape]:
+        own = super().shapes
+        return own if self.has_static else {k: x for k, x in own.items() if k != "static"}
+
+    @property
     def options(self) -> dict[str, Any]:
         name = self.states[0][0]
         return {} if name == BRISTLE else {"state": name}
@@ -54,6 +63,8 @@ class JointStiction(AtJoint, AddedStates):
         super().require_fit(parameters)
         for name in ("coulomb", "stribeck"):
             as_positive(name, parameters[name], self.parameters[name].unit)
+        if not self.has_static:
+            return
         coulomb, static = np.broadcast_arrays(parameters["coulomb"], parameters["static"])
         for body, label in first_bad("static", static < coulomb):
             raise ArgumentError(
@@ -66,10 +77,11 @@ class JointStiction(AtJoint, AddedStates):
 
     def rates(self, placed: Any, x: Motion) -> Vec:
         """Rate of the deflection z: ż = u − |u| stiffness z/g(u), u the rate of the joint."""
-        coulomb, static, stribeck, stiffness, *_ = placed
-        rate = self.rate(x)
-        slow = rate / stribeck
-        limit = fma(static - coulomb, exp(-(slow * slow)), coulomb)
+        limit, rate, stiffness = placed[0], self.rate(x), placed[-4]
+        if self.has_static:
+            coulomb, static, stribeck, *_ = placed
+            slow = rate / stribeck
+            limit = fma(static - coulomb, exp(-(slow * slow)), coulomb)
         return (rate - absolute(rate) * (stiffness * x.signals.states[self.index] / limit),)
 
     def wrench(self, placed: Any, x: Motion) -> Wrench:
@@ -127,7 +139,8 @@ def joint_stiction(
     stiffness : float or array_like, shape (n,)
         Stiffness of the bristle, N m/rad.
     static : float or array_like, shape (n,), optional
-        Largest torque at rest, N m, at least `coulomb`. Default: `coulomb`.
+        Largest torque at rest, N m, at least `coulomb`. Default: `coulomb`, also where that is
+        varied.
     stribeck : float or array_like, shape (n,), optional
         Rate over which friction falls from `static` to `coulomb`, rad/s, positive.
     damping : float or array_like, shape (n,), optional
@@ -196,7 +209,8 @@ def slide_stiction(
     stiffness : float or array_like, shape (n,)
         Stiffness of the bristle, N/m.
     static : float or array_like, shape (n,), optional
-        Largest force at rest, N, at least `coulomb`. Default: `coulomb`.
+        Largest force at rest, N, at least `coulomb`. Default: `coulomb`, also where that is
+        varied.
     stribeck : float or array_like, shape (n,), optional
         Rate over which friction falls from `static` to `coulomb`, m/s, positive.
     damping : float or array_like, shape (n,), optional
@@ -234,5 +248,6 @@ def _stiction(
     kind: type[JointStiction], state: str, *, static: ArrayLike | None, **values: ArrayLike
 ) -> Force:
     require_attribute("a bristle", state)
-    values["static"] = values["coulomb"] if static is None else static
-    return kind(states=((state, ()),)).force(**values)
+    if static is not None:
+        values["static"] = static
+    return kind(has_static=static is not None, states=((state, ()),)).force(**values)
