@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import gc
 import re
 import signal
-from collections.abc import Iterator
+import sys
+from collections.abc import Generator, Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
+
+# pytest keeps files with rewritten asserts, half of the time of a collection, as it keeps kernels.
+sys.dont_write_bytecode = False
 
 # Files whose tests share kernels or fixtures; each of the others is on its own.
 TOGETHER = {
@@ -58,6 +63,17 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
 def _file(nodeid: str) -> str:
     """accuracy, of tests/test_accuracy.py::test_any."""
     return Path(nodeid.partition("::")[0]).stem.removeprefix("test_")
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_collection() -> Generator[None, object, object]:
+    """Modules and tests stay to the end: nothing looks for garbage among them, again and again."""
+    gc.disable()
+    try:
+        return (yield)
+    finally:
+        gc.freeze()
+        gc.enable()
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
