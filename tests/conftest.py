@@ -118,5 +118,6 @@ def blank_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
 
     test_report.py draws those of ordinary and hard cases.
     """
-    blank = "data:image/svg+xml;base64,PHN2Zz48L3N2Zz4="
-    monkeypatch.setattr("lierb.studies.pages.report.data_url", lambda figure: blank)
+    from studies import BLANK
+
+    monkeypatch.setattr("lierb.studies.pages.report.data_url", lambda figure: BLANK)
