@@ -22,6 +22,7 @@ TOGETHER = {
     "pictures": ("animation", "history_plots"),
     "results": ("result", "progress", "shown", "hostile", "memory"),
     "studies": ("cluster", "study", "dataset", "statistics"),
+    "clocks": ("bits", "tolerances"),
     "groups": ("lie", "lie_arrays", "log", "number_types"),
     "derivatives": (
         "of_joints", "of_runs", "of_mechanisms", "event_times", "through_functions", "names", "fit",

@@ -22,11 +22,12 @@ RTOLS = tuple(10.0**-k for k in range(4, 13))
 # The steps of low orders are a million at 1e-12, and their rounding adds up.
 LEAST = {"BS32": 1e-8, "DP54": 1e-11, "Tsit5": 1e-11}
 METHODS = ("BS32", "DP54", "Tsit5", "Verner65", "Verner87", "Verner98", "DOP853")
-QUICK, SLOW = ("heavy_top", "SE3", "DOP853"), ("free_body", "SE3", "DP54")
+QUICK = ("heavy_top", "SE3", "DP54")  # whose kernel test_bits.py has as well
+SLOW = ("heavy_top", "SE3", "DOP853"), ("free_body", "SE3", "DP54")
 FORMS = [
     pytest.param(
         *form, id="-".join(form),
-        marks=() if form == QUICK else pytest.mark.slow if form == SLOW else pytest.mark.long,
+        marks=() if form == QUICK else pytest.mark.slow if form in SLOW else pytest.mark.long,
     )
     for form in itertools.product(DATA, ("SE3", "SO3xR3"), METHODS)
 ]  # fmt: skip
