@@ -117,6 +117,7 @@ SLOW = (  # with kernels that no quick test needs
     "lierb.analysis.paper",
     "lierb.analysis.propagation_result",
     "lierb.model.forces.stiction",
+    "lierb.model.functions.ground_motion",
     "lierb.model.functions.turns",
     "lierb.results.result",
 )

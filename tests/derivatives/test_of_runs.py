@@ -67,7 +67,7 @@ def test_adaptive_steps_have_the_derivatives_of_complex_steps():
 
 @pytest.mark.parametrize(
     "options",
-    [pytest.param(ADAPTIVE, marks=pytest.mark.long), STEPS],
+    [pytest.param(ADAPTIVE, marks=pytest.mark.long), pytest.param(STEPS, marks=pytest.mark.slow)],
     ids=["adaptive", "fixed"],
 )
 def test_values_of_a_run_with_derivatives_keep_their_bits(options):
@@ -107,6 +107,7 @@ def test_a_trajectory_in_a_batch_has_the_derivatives_that_it_has_alone():
             assert np.array_equal(values[:, i], all_derivatives(alone, ALL)[key][:, 0])
 
 
+@pytest.mark.slow
 def test_batched_parameters_have_derivatives_of_their_own():
     problem, pose, twist = problem_of("spherical")
     masses = np.array((5.0, 6.0, 7.0))
