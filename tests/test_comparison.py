@@ -112,6 +112,7 @@ def test_errors_are_distances_from_the_reference(found, exact):
     assert row["drift.energy"] == np.max(result.summary["energy_drift_max"].to_pylist())
 
 
+@pytest.mark.slow
 def test_motion_starts_at_rest_by_default():
     calls = [
         lierb.convergence(box_top(), "RK4", [0.02, 0.01], t_end=0.1, repeats=0, **start)

@@ -183,10 +183,11 @@ def test_what_rounding_leaves_of_weight_costs_no_steps(radius, rtol):
 def test_default_atol_is_what_metadata_leave_out():
     """Given back, they are the same run."""
     problem, twist0 = problem_of("heavy_top")
-    first = lierb.integrate(problem, twist0=twist0, t_end=0.1, rtol=1e-6)
+    run = {"twist0": twist0, "t_end": 0.1, "rtol": 1e-6, "method": "DP54"}
+    first = lierb.integrate(problem, **run)
     atol = json.loads(first.summary.schema.metadata[b"lierb"])["options"]["atol"]
     assert atol == {"rotation": 1e-9, "omega": 1e-9, "states": 1e-9}
-    again = lierb.integrate(problem, twist0=twist0, t_end=0.1, rtol=1e-6, atol=atol)
+    again = lierb.integrate(problem, **run, atol=atol)
     assert again.summary == first.summary
 
 

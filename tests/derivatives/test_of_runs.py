@@ -163,6 +163,7 @@ def test_formulations_agree(name, options):
         assert np.abs(values - expected).max() < TOLERANCE * (1.0 + np.abs(expected).max()), key
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("moments", [(1.0, 1.0, 0.4), (0.7, 0.7, 0.7)], ids=["two", "three"])
 def test_bodies_with_equal_moments_are_differentiated_by_all_of_the_inertia(moments):
     # Any axes are principal ones there; those of a neighbour are half a turn away.
@@ -203,6 +204,7 @@ def test_the_derivative_along_the_flow_is_the_twist():
     assert np.abs(along(result, "twist", weights)[-1, 0] - last).max() < 1e-10
 
 
+@pytest.mark.slow
 def test_energy_is_conserved_along_every_direction():
     result = fixed(ALL, options=FINE)
     for name in ALL:
