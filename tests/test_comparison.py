@@ -506,6 +506,7 @@ def test_a_comparison_shows_itself(found):
     assert "joint position exact" in text
 
 
+@pytest.mark.slow
 def test_save_writes_whole_files(found, tmp_path):
     paths = found.save(tmp_path / "out")
     names = ["parquet", "md", "tex", "png", "svg"]

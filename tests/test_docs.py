@@ -120,6 +120,7 @@ SLOW = (  # with kernels that no quick test needs
     "lierb.model.functions.ground_motion",
     "lierb.model.functions.turns",
     "lierb.results.result",
+    "lierb.results.states",
 )
 # tests/derivatives has the same with other kernels
 LONG_MODULES = tuple(

@@ -104,6 +104,7 @@ def part(start, which):
 # ---- the same motion ---------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["RK4", pytest.param("DOP853", marks=pytest.mark.long)])
 def test_every_joint_moves_as_by_unrolled_formulas(method):
     agree(tree_of(MOTIONS * 2), method)
