@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import gc
 import re
 import signal
-from collections.abc import Iterator
+import sys
+from collections.abc import Generator, Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
+
+# pytest keeps files with rewritten asserts, half of the time of a collection, as it keeps kernels.
+sys.dont_write_bytecode = False
 
 # Files whose tests share kernels or fixtures; each of the others is on its own.
 TOGETHER = {
@@ -17,6 +22,7 @@ TOGETHER = {
     "pictures": ("animation", "history_plots"),
     "results": ("result", "progress", "shown", "hostile", "memory"),
     "studies": ("cluster", "study", "dataset", "statistics"),
+    "clocks": ("bits", "tolerances"),
     "groups": ("lie", "lie_arrays", "log", "number_types"),
     "derivatives": (
         "of_joints", "of_runs", "of_mechanisms", "event_times", "through_functions", "names", "fit",
@@ -58,6 +64,17 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
 def _file(nodeid: str) -> str:
     """accuracy, of tests/test_accuracy.py::test_any."""
     return Path(nodeid.partition("::")[0]).stem.removeprefix("test_")
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_collection() -> Generator[None, object, object]:
+    """Modules and tests stay to the end: nothing looks for garbage among them, again and again."""
+    gc.disable()
+    try:
+        return (yield)
+    finally:
+        gc.freeze()
+        gc.enable()
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
@@ -102,5 +119,6 @@ def blank_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
 
     test_report.py draws those of ordinary and hard cases.
     """
-    blank = "data:image/svg+xml;base64,PHN2Zz48L3N2Zz4="
-    monkeypatch.setattr("lierb.studies.pages.report.data_url", lambda figure: blank)
+    from studies import BLANK
+
+    monkeypatch.setattr("lierb.studies.pages.report.data_url", lambda figure: BLANK)

@@ -59,6 +59,7 @@ t_end = 0.05
 part = 8
 """
 PARTS = 2 * 2 * 7
+BLANK = "data:image/svg+xml;base64,PHN2Zz48L3N2Zz4="  # a figure of a page
 
 
 def tables() -> dict:

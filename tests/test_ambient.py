@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 import oracle
 import pytest
-from cases import in_python, tiered, tilted
+from cases import in_python, slow_but, tiered, tilted
 
 import lierb
 from lierb.errors import ArgumentError, UnknownNameError
@@ -163,7 +163,7 @@ class InPython:
         return np.array(self.system.in_user_frames(self.body, self.numbers, state)[0], float)
 
 
-@pytest.mark.parametrize("method", EXPLICIT)
+@pytest.mark.parametrize("method", slow_but(EXPLICIT, "Heun", "RK4", "Tsit5", "DOP853"))
 def test_every_explicit_method_has_its_order(method):
     run, expected, true = InPython(method), TABLEAUS[method].order, truth()
     errors = []

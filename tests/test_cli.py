@@ -21,6 +21,7 @@ pytest.importorskip("rich")
 pytest.importorskip("click")
 pytest.importorskip("matplotlib")
 
+from cases import slow_but
 from command import invoke
 from rich.table import Table
 
@@ -262,7 +263,7 @@ def test_all_hints_to_install_come_from_one_function():
     assert [name for name, text in sources.items() if "pip install" in text] == ["extras.py"]
 
 
-@pytest.mark.parametrize("package", ["click", "rich"])
+@pytest.mark.parametrize("package", slow_but(["click", "rich"], "click"))
 def test_command_without_its_extra_is_one_sentence(package):
     done = run_without(package, "paper")
     assert done.returncode == 1
@@ -272,6 +273,7 @@ def test_command_without_its_extra_is_one_sentence(package):
     )
 
 
+@pytest.mark.slow
 def test_figures_without_their_extra_are_one_sentence(tmp_path):
     done = run_without("matplotlib", "paper", "--out", tmp_path)
     assert done.returncode == 1
@@ -315,6 +317,7 @@ def test_example_that_is_none_is_named():
     assert "Did you mean 'heavy_top'?" in result.stderr
 
 
+@pytest.mark.slow
 def test_example_is_utf8_whatever_the_terminal_has():
     command = [sys.executable, "-m", "lierb", "example", "heavy_top"]
     environment = {**os.environ, "PYTHONIOENCODING": "koi8-r"}
@@ -356,6 +359,7 @@ def test_command_line_starts_without_matplotlib_and_rich_tables():
     assert done.stdout.strip() == "set()"
 
 
+@pytest.mark.slow
 def test_a_warning_is_told_without_a_line_of_python():
     code = """
 import lierb.__main__, lierb.cli, warnings
@@ -380,6 +384,7 @@ def test_ctrl_c_ends_the_process_cleanly(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.slow
 def test_module_runs_as_a_command_and_survives_a_terminal_without_umlauts():
     command = [sys.executable, "-m", "lierb", "paper", "--help"]
     environment = {**os.environ, "PYTHONIOENCODING": "koi8-r"}

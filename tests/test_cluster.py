@@ -51,6 +51,18 @@ def client():
         yield client
 
 
+@pytest.fixture(scope="module")
+def threads():
+    """Two workers that are threads of this process: they are there at once."""
+    with (
+        dask.distributed.LocalCluster(
+            n_workers=2, threads_per_worker=1, processes=False, dashboard_address=None
+        ) as there,
+        dask.distributed.Client(there) as client,
+    ):
+        yield client
+
+
 # ---- the same bits -----------------------------------------------------------------------------
 
 
@@ -82,18 +94,19 @@ def test_sent_or_written_the_files_are_those_of_one_process(client, alone, tmp_p
     assert told == sorted(told)
 
 
-def test_only_what_is_missing_is_done(client, alone, tmp_path):
-    lierb.run(study(**SHORT), tmp_path, client=client)
+def test_only_what_is_missing_is_done(threads, alone, tmp_path):
+    lierb.run(study(**SHORT), tmp_path, client=threads)
     lost, *kept = sorted(tmp_path.rglob("part-*.parquet"))
     written = {path: path.stat().st_mtime_ns for path in kept}
     lost.unlink()
-    lierb.run(study(**SHORT), tmp_path, client=client, resume=True)
+    lierb.run(study(**SHORT), tmp_path, client=threads, resume=True)
     again = {path for path in kept if path.stat().st_mtime_ns != written[path]}
     part = lost.name
     assert {path.name for path in again} == {part}  # its other table
     assert hashes(tmp_path) == hashes(alone)
 
 
+@pytest.mark.slow
 def test_a_worker_uses_its_own_threads(client):
     threads = max(1, (os.cpu_count() or 1) // 2)
     assert list(client.nthreads().values()) == [threads] * 2
@@ -165,13 +178,13 @@ def test_a_worker_left_behind_by_another_run_overwrites_nothing(tmp_path):
     assert all(name.endswith(".unfinished") for name in now.keys() - before.keys())
 
 
-def test_workers_without_lierb_are_told(client, tmp_path, monkeypatch):
+def test_workers_without_lierb_are_told(threads, tmp_path, monkeypatch):
     def missing():
         raise ImportError("No module named 'lierb'")
 
     monkeypatch.setattr(cluster, "machine", missing)
     with pytest.raises(StudyError, match=r"cannot load lierb.*No module named 'lierb'"):
-        lierb.run(study(), tmp_path, client=client)
+        lierb.run(study(), tmp_path, client=threads)
 
 
 @pytest.mark.long
@@ -217,21 +230,26 @@ def test_a_result_whose_worker_left_with_it_is_not_waited_for_for_ever(monkeypat
             cluster._result(client, future, part)
 
 
-def test_workers_that_do_not_see_the_folder_say_so(client, tmp_path):
+def test_workers_that_do_not_see_the_folder_say_so(threads, tmp_path):
     def hide(done: int, total: int) -> None:
         (tmp_path / "study.toml").unlink(missing_ok=True)
 
     with pytest.raises(StudyError, match=r"does not see .*--gather"):
         lierb.run(
-            study(**SHORT | {"output": {"part": 250}}), tmp_path, client=client, progress=hide
+            study(**SHORT | {"output": {"part": 250}}), tmp_path, client=threads, progress=hide
         )
 
 
-def test_another_kind_of_worker_warns(client, tmp_path, monkeypatch):
-    here = cluster.machine()
-    monkeypatch.setattr(cluster, "machine", lambda: here | {"cpu": "abacus"})
+def test_another_kind_of_worker_warns(threads, tmp_path, monkeypatch):
+    there = cluster.machine()
+
+    def machine():
+        is_here = threading.current_thread() is threading.main_thread()
+        return there | {"cpu": "abacus"} if is_here else there
+
+    monkeypatch.setattr(cluster, "machine", machine)
     with pytest.warns(StudyWarning, match="a worker differs .*cpu .* there, abacus here"):
-        lierb.run(study(**SHORT), tmp_path, client=client)
+        lierb.run(study(**SHORT), tmp_path, client=threads)
 
 
 def test_a_scheduler_without_workers_is_named(tmp_path, monkeypatch):

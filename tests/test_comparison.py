@@ -112,6 +112,7 @@ def test_errors_are_distances_from_the_reference(found, exact):
     assert row["drift.energy"] == np.max(result.summary["energy_drift_max"].to_pylist())
 
 
+@pytest.mark.slow
 def test_motion_starts_at_rest_by_default():
     calls = [
         lierb.convergence(box_top(), "RK4", [0.02, 0.01], t_end=0.1, repeats=0, **start)
@@ -505,6 +506,7 @@ def test_a_comparison_shows_itself(found):
     assert "joint position exact" in text
 
 
+@pytest.mark.slow
 def test_save_writes_whole_files(found, tmp_path):
     paths = found.save(tmp_path / "out")
     names = ["parquet", "md", "tex", "png", "svg"]

@@ -729,6 +729,7 @@ def test_an_interrupt_at_any_call_leaves_a_folder_that_goes_on(
 # ---- very many parts ---------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_parts_of_very_many_bodies_are_made_one_by_one(tmp_path):
     huge = small(sample={"n": 10**12})
     parts = Parts(huge)

@@ -117,8 +117,10 @@ SLOW = (  # with kernels that no quick test needs
     "lierb.analysis.paper",
     "lierb.analysis.propagation_result",
     "lierb.model.forces.stiction",
+    "lierb.model.functions.ground_motion",
     "lierb.model.functions.turns",
     "lierb.results.result",
+    "lierb.results.states",
 )
 # tests/derivatives has the same with other kernels
 LONG_MODULES = tuple(

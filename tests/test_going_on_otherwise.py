@@ -64,6 +64,7 @@ def level(r):
     return 1.0 - r[2] ** 3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("steps", [{"rtol": 1e-9}, {"dt": 0.01}])
 def test_events_at_the_instant_of_a_terminal_one_are_kept(steps):
     thrown = np.c_[np.zeros((64, 5)), np.linspace(1.0, 2.0, 64)]
@@ -83,6 +84,7 @@ def thrust(t, R, r, omega, v, params):
     return np.zeros(3), np.array((0.0, 0.0, np.where(t < params.off, 10.0, 0.0)))
 
 
+@pytest.mark.slow
 def test_means_end_at_declared_jumps():
     body = lierb.Body(1.0, (0.1, 0.1, 0.1))
     given = lierb.Problem(body, lierb.joints.free(), forces=thrust(), observables=drive())

@@ -8,7 +8,7 @@ from io import BytesIO
 import numpy as np
 import pyarrow as pa
 import pytest
-from cases import integrate, top
+from cases import integrate, slow_but, top
 
 import lierb
 from lierb.errors import ArgumentError, UnknownNameError
@@ -147,7 +147,7 @@ def test_observables_named_as_panels_of_the_motion_leave_these(problem, spun):
 
 
 @pytest.mark.parametrize("save_every", [10, 50])  # 0.14 turns and 0.7 turns from row to row
-@pytest.mark.parametrize("kind", ["revolute", "screw"])
+@pytest.mark.parametrize("kind", slow_but(["revolute", "screw"], "revolute"))
 def test_angle_of_a_joint_counts_its_turns(kind, save_every):
     pitch = {"pitch": 0.1} if kind == "screw" else {}
     make = getattr(lierb.joints, kind)

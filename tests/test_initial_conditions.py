@@ -3,7 +3,7 @@
 import numpy as np
 import oracle
 import pytest
-from cases import PITCH, SUBGROUP_JOINTS, column, frame, integrate, joint
+from cases import PITCH, SUBGROUP_JOINTS, column, frame, integrate, joint, slow_but
 from scipy.linalg import expm, logm
 from scipy.spatial.transform import Rotation
 
@@ -179,7 +179,7 @@ def hat(w):
 
 
 @pytest.mark.parametrize("name", NAMES)
-@pytest.mark.parametrize("seed", [11, 12, 13])
+@pytest.mark.parametrize("seed", slow_but([11, 12, 13], 11))
 def test_velocities_are_the_rates_of_coordinates_along_the_motion(name, seed):
     held, rng = joint(name), np.random.default_rng(seed)
     k = len(NAMES[name])
@@ -387,7 +387,7 @@ def violation(name, held, pose):
 
 
 @EVERY_JOINT
-@pytest.mark.parametrize("size", [1e-6, 0.1, 0.6])
+@pytest.mark.parametrize("size", slow_but([1e-6, 0.1, 0.6], 0.6))
 def test_closed_pose_meets_the_joint(name, size):
     held = joint(name)
     problem = lierb.Problem(BODY, held)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cases import LENGTH, PITCH, long_but, tiered, tilted
+from cases import LENGTH, PITCH, long_but, slow_but, tiered, tilted
 from mechanisms import samples
 from scipy.linalg import expm
 
@@ -102,7 +102,7 @@ def test_a_planar_loop_keeps_its_rows_out_of_the_plane():
     assert kept(across) == "d2"  # in the links' axes, of which y is that of all pins
 
 
-@pytest.mark.parametrize("update", ["local", "ambient"])
+@pytest.mark.parametrize("update", slow_but(["local", "ambient"], "local"))
 def test_a_parallelogram_is_kept_on_reduced_coordinates_alone(update):
     """Its angles move by (1, −1, 1): one subgroup of their product, on which all rows are kept.
 
@@ -152,7 +152,7 @@ def test_reasons_are_told_joint_by_joint():
 # ---- one link, trees -----------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", list(lierb.joints.JOINTS))
+@pytest.mark.parametrize("name", slow_but(lierb.joints.JOINTS, "spherical", "universal", "screw"))
 def test_one_link_is_a_body_on_its_joint(name):
     problem, _ = tilted(name)
     alone = lierb.predict(lierb.Mechanism(lierb.Link("body", problem.body, problem.joint)))
@@ -161,7 +161,7 @@ def test_one_link_is_a_body_on_its_joint(name):
         assert (found.group, found.rows_exact) == (expected.group, expected.rows_exact)
 
 
-@pytest.mark.parametrize("shape", samples.TREES)
+@pytest.mark.parametrize("shape", slow_but(samples.TREES, "chain", "branched"))
 def test_reduced_coordinates_keep_every_joint_that_has_coordinates(shape):
     made, _ = samples.random_mechanism(np.random.default_rng(1), shape, n=1)
     found = lierb.predict(made.of_body(0), _first(samples.random_mechanism, shape))["reduced"]

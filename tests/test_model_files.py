@@ -1079,6 +1079,7 @@ def test_a_path_that_is_none_is_refused(tmp_path):
         lierb.Mechanism.from_urdf(17)
 
 
+@pytest.mark.slow
 def test_the_page_on_model_files_names_what_replaces_what_is_left_out(tmp_path):
     """Its cells run: friction, an actuator and an armature that the file would have."""
     with warnings.catch_warnings():

@@ -7,6 +7,7 @@ import numpy as np
 import oracle
 import pytest
 import reference_numbers as ref
+from cases import slow_but
 from oracle import JOINT_ROWS, lie, mp, row_jacobian, sizes_of
 from scipy.special import fresnel
 
@@ -957,7 +958,11 @@ def test_axisymmetric_body_moves_by_newton_and_euler():
 @pytest.mark.parametrize("order", list(permutations(range(3))))
 @pytest.mark.parametrize(
     "omega0",
-    [(2.0, 0.3, -0.4), (0.5, 0.1, 3.0), (-0.2, 2.0, 0.3), (0.3, -2.0, -0.2), (0.0, 0.0, 2.0)],
+    slow_but(
+        [(2.0, 0.3, -0.4), (0.5, 0.1, 3.0), (-0.2, 2.0, 0.3), (0.3, -2.0, -0.2), (0.0, 0.0, 2.0)],
+        (2.0, 0.3, -0.4),
+        (0.0, 0.0, 2.0),
+    ),
 )
 def test_triaxial_body_moves_by_newton_and_euler(omega0, order):
     inertia = np.array([0.5, 0.8, 1.2])[list(order)]

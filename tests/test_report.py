@@ -14,7 +14,7 @@ from html.parser import HTMLParser
 import pytest
 from cases import tiered
 from click.testing import CliRunner
-from studies import PARTS, TEXT, sorted_rows, study
+from studies import BLANK, PARTS, TEXT, sorted_rows, study
 
 import lierb
 from lierb.cli import cli
@@ -80,11 +80,15 @@ def dataset(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def text(dataset):
-    return write_report(dataset, dataset.folder / "report.html").read_text(encoding="utf-8")
+    """The page on the study, with blank figures."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("lierb.studies.pages.report.data_url", lambda figure: BLANK)
+        return write_report(dataset, dataset.folder / "report.html").read_text(encoding="utf-8")
 
 
 @pytest.mark.slow
-def test_page_is_complete(text):
+def test_page_is_complete(dataset, tmp_path):
+    text = write_report(dataset, tmp_path / "report.html").read_text(encoding="utf-8")
     page = Page(text)
     assert page.texts["h2"] == [
         "How large the errors get", "Quantiles and how well they are known",
@@ -204,6 +208,7 @@ def test_every_body_is_in_the_interactive_figure(dataset, text):
     ]
 
 
+@pytest.mark.slow
 def test_page_has_the_functions_of_the_study(tmp_path):
     """Files made of the page's texts alone run the same study."""
     code = 'import lierb\n\n\n@lierb.observable(unit="1")\ndef speed(R, r, omega, v):\n'

@@ -145,6 +145,7 @@ def test_chunked_and_sliced_columns_become_arrays():
     assert as_codes(pa.chunked_array([texts(["b", "a", "b"])]))[1] == ["b", "a"]
 
 
+@pytest.mark.slow
 def test_arrays_need_no_pandas():
     """Arrow's own `to_numpy` imports it where it is installed: 0.2 s of a process."""
     code = """

@@ -704,6 +704,7 @@ for design in (Design({"z": Normal(0.0, 1.0)}, 1), Design({"u": Uniform(0, 1)}, 
 """
 
 
+@pytest.mark.slow
 def test_scipy_is_needed_by_few_and_asked_for():
     run = subprocess.run(
         [sys.executable, "-c", BLOCKED], capture_output=True, text=True, check=True

@@ -18,6 +18,7 @@ from cases import (
     in_python,
     integrate,
     long_but,
+    slow_but,
     tilted,
     top,
 )
@@ -43,15 +44,17 @@ FORMS = [
     *itertools.product(("Verlet", "Verlet4"), ("SE3",)),
     *itertools.product(WITH_CONSTRAINTS, ("SE3", "SO3xR3")),
 ]
-# Each form has a kernel of its own: of every family, one runs with the quick tests.
-QUICK = [("Verlet", "SE3"), ("RATTLie", "SO3xR3"), ("alpha2", "SO3xR3"), ("BLieDF2", "SO3xR3")]
+# Each form has a kernel of its own: an explicit and an implicit one run with the quick tests.
+QUICK = [("Verlet", "SE3"), ("alpha2", "SO3xR3")]
 SLOW = [
-    ("Verlet4", "SE3"), ("alpha3", "SE3"), ("BLieDF1", "SO3xR3"), ("SHAKELie", "SO3xR3"),
+    ("RATTLie", "SO3xR3"), ("BLieDF2", "SO3xR3"), ("Verlet4", "SE3"), ("alpha3", "SE3"),
+    ("BLieDF1", "SO3xR3"), ("SHAKELie", "SO3xR3"),
 ]  # fmt: skip
 MARKS = [
     () if form in QUICK else pytest.mark.slow if form in SLOW else pytest.mark.long
     for form in FORMS
 ]
+UNLIKE = ("spherical", "screw", "universal", "point_on_sphere", "fixed")  # in their rows
 SYMPLECTIC = ("Verlet", "Verlet4", "RATTLie")
 SHORTER = {"BLieDF1": 80, "BLieDF2": 8}  # times; then errors of fast turns have the order
 
@@ -223,7 +226,7 @@ def test_verlet_keeps_every_subgroup_joint(name):
 
 
 @pytest.mark.parametrize("cspace", CSPACES)
-@pytest.mark.parametrize("name", lierb.joints.JOINTS)
+@pytest.mark.parametrize("name", slow_but(lierb.joints.JOINTS, *UNLIKE))
 @pytest.mark.parametrize("method", WITH_CONSTRAINTS)
 def test_methods_with_constraints_satisfy_every_joint(method, name, cspace):
     """RATTLie and α of index 2 satisfy those of the velocity too. Some joints make bodies fast."""
@@ -562,6 +565,7 @@ def test_end_goes_on_to_the_bits_of_one_run(name, cspace):
     np.testing.assert_array_equal(bits(again)[-1], bits(whole)[-1])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["alpha2", "BLieDF2"])
 def test_multistep_methods_start_again_after_another_step_or_method(name):
     """They then start as from any other pose and twist, which conversion to user axes rounds."""
@@ -586,7 +590,14 @@ def test_multistep_methods_start_again_after_another_step_or_method(name):
 
 
 @pytest.mark.parametrize(
-    ("name", "cspace"), [*QUICK, pytest.param("SHAKELie", "SO3xR3", marks=pytest.mark.slow)]
+    ("name", "cspace"),
+    [
+        *QUICK,
+        *(
+            pytest.param(name, "SO3xR3", marks=pytest.mark.slow)
+            for name in ("RATTLie", "BLieDF2", "SHAKELie")
+        ),
+    ],
 )
 def test_status_tells_that_an_iteration_has_not_converged(name, cspace):
     problem, many = box_top()[0], twists(3)

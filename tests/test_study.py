@@ -22,7 +22,7 @@ import pyarrow as pa
 import pyarrow.dataset as ds
 import pyarrow.parquet as pq
 import pytest
-from cases import column
+from cases import column, slow_but
 from click.testing import CliRunner
 from documented import entries, sections
 from hypothesis import HealthCheck, given, settings
@@ -466,7 +466,7 @@ def test_rows_are_those_of_integrate(whole):
         np.testing.assert_array_equal(drawn, batch.draws["initial.omega"])
 
 
-@pytest.mark.parametrize("part", [1, 13, 1000])
+@pytest.mark.parametrize("part", slow_but([1, 13, 1000], 13, 1000))
 def test_bits_do_not_depend_on_parts(whole, part, tmp_path):
     given = study(output={"part": part})
     lierb.run(given, tmp_path / "out")

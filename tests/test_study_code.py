@@ -609,6 +609,7 @@ def test_a_file_made_in_python_is_short(tmp_path):
     assert Study.of(tomllib.loads(other.to_toml())) == other
 
 
+@pytest.mark.slow
 @given(
     st.recursive(
         st.floats(allow_nan=False, allow_infinity=False)
@@ -681,6 +682,7 @@ def on_line(R, r):
     assert "trajectory" not in str(told.value)
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::lierb.errors.ScalarFunctionWarning")
 def test_what_a_function_raised_reaches_the_reader_of_a_study(tmp_path):
     code = """\

@@ -235,6 +235,7 @@ def test_linear_theory_of_a_saltelli_design_is_of_independent_bodies(tmp_path):
     assert theory.parts_at == ()
 
 
+@pytest.mark.slow
 def test_linear_theory_without_any_derivative_names_the_reasons(tmp_path):
     changed = tables(n=64, sensitivities=["body.inertia"])
     changed["sample"] = {"n": 64, "initial": {"velocities": normal([0.5], [0.1])}}

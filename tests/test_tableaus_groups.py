@@ -68,7 +68,7 @@ class Guided:
         return np.array((*(R.T @ (1.0, math.sin(3 * t), r[0])), *(R[2] - 0.5 * r)))
 
 
-SYSTEMS = [Turning(), Flying(), Guided()]
+OTHERS = [Turning(), Flying()]
 
 
 def _twist(system, C, V, t):
@@ -116,7 +116,11 @@ def observed_order(tableau, system, order=lambda rows: rows):
     return math.log2(coarse / fine)
 
 
-@pytest.mark.parametrize("system", SYSTEMS, ids=lambda system: type(system).__name__)
+@pytest.mark.parametrize(
+    "system",
+    [*(pytest.param(system, marks=pytest.mark.slow) for system in OTHERS), Guided()],
+    ids=lambda system: type(system).__name__,
+)
 @pytest.mark.parametrize("tableau", METHODS.values(), ids=METHODS)
 def test_method_has_its_order_on_the_group(tableau, system):
     # ±0.3: sixteen steps are not quite asymptotic; a wrong order would be off by 1

@@ -22,11 +22,12 @@ RTOLS = tuple(10.0**-k for k in range(4, 13))
 # The steps of low orders are a million at 1e-12, and their rounding adds up.
 LEAST = {"BS32": 1e-8, "DP54": 1e-11, "Tsit5": 1e-11}
 METHODS = ("BS32", "DP54", "Tsit5", "Verner65", "Verner87", "Verner98", "DOP853")
-QUICK, SLOW = ("heavy_top", "SE3", "DOP853"), ("free_body", "SE3", "DP54")
+QUICK = ("heavy_top", "SE3", "DP54")  # whose kernel test_bits.py has as well
+SLOW = ("heavy_top", "SE3", "DOP853"), ("free_body", "SE3", "DP54")
 FORMS = [
     pytest.param(
         *form, id="-".join(form),
-        marks=() if form == QUICK else pytest.mark.slow if form == SLOW else pytest.mark.long,
+        marks=() if form == QUICK else pytest.mark.slow if form in SLOW else pytest.mark.long,
     )
     for form in itertools.product(DATA, ("SE3", "SO3xR3"), METHODS)
 ]  # fmt: skip
@@ -182,10 +183,11 @@ def test_what_rounding_leaves_of_weight_costs_no_steps(radius, rtol):
 def test_default_atol_is_what_metadata_leave_out():
     """Given back, they are the same run."""
     problem, twist0 = problem_of("heavy_top")
-    first = lierb.integrate(problem, twist0=twist0, t_end=0.1, rtol=1e-6)
+    run = {"twist0": twist0, "t_end": 0.1, "rtol": 1e-6, "method": "DP54"}
+    first = lierb.integrate(problem, **run)
     atol = json.loads(first.summary.schema.metadata[b"lierb"])["options"]["atol"]
     assert atol == {"rotation": 1e-9, "omega": 1e-9, "states": 1e-9}
-    again = lierb.integrate(problem, twist0=twist0, t_end=0.1, rtol=1e-6, atol=atol)
+    again = lierb.integrate(problem, **run, atol=atol)
     assert again.summary == first.summary
 
 

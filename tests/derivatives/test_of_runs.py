@@ -67,7 +67,7 @@ def test_adaptive_steps_have_the_derivatives_of_complex_steps():
 
 @pytest.mark.parametrize(
     "options",
-    [pytest.param(ADAPTIVE, marks=pytest.mark.long), STEPS],
+    [pytest.param(ADAPTIVE, marks=pytest.mark.long), pytest.param(STEPS, marks=pytest.mark.slow)],
     ids=["adaptive", "fixed"],
 )
 def test_values_of_a_run_with_derivatives_keep_their_bits(options):
@@ -107,6 +107,7 @@ def test_a_trajectory_in_a_batch_has_the_derivatives_that_it_has_alone():
             assert np.array_equal(values[:, i], all_derivatives(alone, ALL)[key][:, 0])
 
 
+@pytest.mark.slow
 def test_batched_parameters_have_derivatives_of_their_own():
     problem, pose, twist = problem_of("spherical")
     masses = np.array((5.0, 6.0, 7.0))
@@ -162,6 +163,7 @@ def test_formulations_agree(name, options):
         assert np.abs(values - expected).max() < TOLERANCE * (1.0 + np.abs(expected).max()), key
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("moments", [(1.0, 1.0, 0.4), (0.7, 0.7, 0.7)], ids=["two", "three"])
 def test_bodies_with_equal_moments_are_differentiated_by_all_of_the_inertia(moments):
     # Any axes are principal ones there; those of a neighbour are half a turn away.
@@ -202,6 +204,7 @@ def test_the_derivative_along_the_flow_is_the_twist():
     assert np.abs(along(result, "twist", weights)[-1, 0] - last).max() < 1e-10
 
 
+@pytest.mark.slow
 def test_energy_is_conserved_along_every_direction():
     result = fixed(ALL, options=FINE)
     for name in ALL:

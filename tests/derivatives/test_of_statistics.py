@@ -47,6 +47,7 @@ def thrown(speeds):
     return {"twist0": twists, "pose0": poses}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("every", [1, 3])
 def test_fixed_steps_measure_extremes_at_steps(every):
     speeds, times = np.array((3.0, 5.0, 8.0)), np.linspace(0.0, END, 101)[::every]

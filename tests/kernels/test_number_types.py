@@ -94,6 +94,7 @@ def test_lie_functions_same_bits_beside_any_neighbours(group, name):
             assert same_bits(applied(group, name, lanes, a[order], b[order]), scalar[order])
 
 
+@pytest.mark.slow
 @needs_jit
 @every_group
 @every_function

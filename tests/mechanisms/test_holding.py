@@ -66,6 +66,7 @@ def found_pin(pose):
     return (rocker @ [*end_of(ROCKER), 1.0])[..., :2]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("branch", [1, pytest.param(-1, marks=pytest.mark.long)])
 def test_c45_a_four_bar_is_closed_at_crank_angles_on_its_branch(branch):
     """A whole turn and a half in one call. Right: cosine law."""

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 import mpmath
 import numpy as np
 import pytest
+from cases import slow_but
 from mpmath import mpf
 from scipy.integrate import solve_ivp
 
@@ -121,7 +122,12 @@ def joint_forces(bend: mpmath.matrix, masses: Sequence[float]) -> list[mpf]:
 
 @pytest.mark.parametrize("cspace", ["reduced", "SE3"])
 @pytest.mark.parametrize("rows", ROWS)
-@pytest.mark.parametrize("masses", [(1.0, 1.0), (1.0, 1e6), (1.0, 1e10), (1.0, 1e14), (1e10, 1.0)])
+@pytest.mark.parametrize(
+    "masses",
+    slow_but(
+        [(1.0, 1.0), (1.0, 1e6), (1.0, 1e10), (1.0, 1e14), (1e10, 1.0)], (1.0, 1e14), (1e10, 1.0)
+    ),
+)
 def test_joints_of_rows_do_not_feel_the_mass_ratio(masses, rows, cspace):
     plain, made = two_links((1.0, 1.0), None), two_links(masses, ROWS[rows])
     names = plain.names

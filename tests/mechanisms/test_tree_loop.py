@@ -6,6 +6,7 @@ a joint but no recursion, no axes and no memory with it; and with MuJoCo.
 
 import numpy as np
 import pytest
+from cases import slow_but
 from scipy.spatial.transform import Rotation
 
 import lierb
@@ -103,12 +104,13 @@ def part(start, which):
 # ---- the same motion ---------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["RK4", pytest.param("DOP853", marks=pytest.mark.long)])
 def test_every_joint_moves_as_by_unrolled_formulas(method):
     agree(tree_of(MOTIONS * 2), method)
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", slow_but(range(4), 0, 1))
 def test_random_trees_move_as_by_unrolled_formulas(seed):
     rng = np.random.default_rng(seed)
     agree(tree_of(rng.choice(MOTIONS, 2 + 2 * seed), seed))
@@ -164,7 +166,7 @@ def test_all_columns_are_those_of_unrolled_code():
                 np.testing.assert_allclose(*columns, rtol=1e-12, atol=1e-12, err_msg=name)
 
 
-@pytest.mark.parametrize("links", [20, 40, 100])
+@pytest.mark.parametrize("links", slow_but([20, 40, 100], 20))
 def test_chains_move_as_in_mujoco(links, tmp_path):
     """Both make RK4 steps in the same angles, so that they differ by rounding alone."""
     mujoco = pytest.importorskip("mujoco")

@@ -155,6 +155,7 @@ def test_c44_a_saturated_spring_is_parabola_and_cosine():
 # ---- c30: springs through their anchor ---------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_c30_a_spring_goes_through_its_anchor():
     """Modelica#476, Modelica#2171: its ends meet. Right: a damped harmonic oscillation.
 
@@ -180,6 +181,7 @@ def test_c30_a_spring_goes_through_its_anchor():
     np.testing.assert_allclose(moved, right[..., None] * line, rtol=0, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_c30_a_damper_takes_nothing_across_its_line():
     """PlanarMechanics#183: damping along the line. Right: a circle round the anchor stays one."""
     k, radius, slack = 50.0, 0.5, 0.3
