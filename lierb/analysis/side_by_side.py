@@ -68,7 +68,8 @@ class Experiments:
         for p in self.parameters:
             if not p.is_start:
                 shape = item_shape(self.model.inputs[p.fields[0]], p)
-                state[NUMBER + p.fields[0]] = self._grouped(base.model.inputs[p.fields[0]], shape)
+                for field in (p.fields[0], *p.copies):
+                    state[NUMBER + field] = self._grouped(base.model.inputs[field], shape)
         state |= {POSE + k: self._grouped(x, (4, 4)) for k, x in base.poses.items()}
         return state | {TWIST + k: self._grouped(x, (6,)) for k, x in base.twists.items()}
 

@@ -20,6 +20,7 @@ from lierb.model.acting import ELEMENTS
 from lierb.model.bodies.body import Body, moved_inertia
 from lierb.model.forces.built_in import BuiltIn
 from lierb.model.functions.elements import Element
+from lierb.model.functions.ground_motion import MovingGround
 from lierb.model.functions.states import ExtraStates
 from lierb.model.joints.joint import JOINT, Joint
 from lierb.support.arrays import (
@@ -49,6 +50,7 @@ class Place(NamedTuple):
     unit : "" for the number of a user's function.
     kind : "number", "frame", "point", the origin of a frame, or "time", at which an element jumps.
     binds : True for a number of a joint or a constraint, which a start must satisfy.
+    copies : further fields that hold the number, of a ground that moves for several links.
     """
 
     field: str
@@ -56,6 +58,7 @@ class Place(NamedTuple):
     unit: str = ""
     kind: str = "number"
     binds: bool = False
+    copies: tuple[str, ...] = ()
 
 
 def qualified(owner: str, name: str) -> str:
@@ -80,20 +83,41 @@ def places_of(model: Any) -> dict[str, Place]:
             places[f"{prefix}.{name}"] = Place(f"{field}{name}", ((),), unit, binds=True)
         for frame in FRAMES:
             places[f"{prefix}.{frame}"] = Place(f"{field}{frame}", ((4, 4),), kind="frame")
+    grounds, of_grounds = _grounds(model), set[str]()
     for element, label, field in labelled(model):
         binds = bool(element.kind.rows)
         period = (EVERY,) if isinstance(element.kind, UserController) else ()
         for name, shape in element.kind.shapes.items():
             kind = "time" if name in (*element.kind.discontinuities, *period) else "number"
             place = Place(f"{field}{name}", (shape,), _unit(element, name), kind, binds)
-            own = f"{label}.{element.short(name)}"
+            own = f"{grounds.get(label, label)}.{element.short(name)}"
+            if own in of_grounds:
+                places[own] = places[own]._replace(copies=(*places[own].copies, place.field))
+                continue
             if own in places:
                 raise ArgumentError(
                     f"{own} is a parameter of {element.name}, and a number of the body or joint; "
                     f'give the element another name: {element.name}(…).named("…")'
                 )
             places[own] = place
+            if label in grounds:
+                of_grounds.add(own)
     return places
+
+
+def _grounds(model: Any) -> dict[str, str]:
+    """Return the names of the motions of a ground by those of their parts, forces on the links."""
+    by_link: dict[str, list[str]] = {}
+    for element, label, _ in labelled(model):
+        if isinstance(element, MovingGround) and element.at:
+            by_link.setdefault(element.at[0], []).append(label)
+    link, own = next(iter(by_link.items()), ("", []))
+    names = [label.removeprefix(f"{link}.") for label in own]
+    return {
+        label: name
+        for labels in by_link.values()
+        for label, name in zip(labels, names, strict=True)
+    }
 
 
 def _unit(element: Element, parameter: str) -> str:
@@ -146,6 +170,7 @@ def by_field(model: Any, given: Mapping[str, Any]) -> dict[str, Array]:
             array = as_numbers(name, value, *shapes)
             is_principal = shapes is INERTIA and array.shape[-2:] != (3, 3)
             numbers[field] = array[..., :, None] * np.eye(3) if is_principal else array
+        numbers |= dict.fromkeys(place.copies, numbers[field])
     return numbers
 
 

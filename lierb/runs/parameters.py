@@ -47,6 +47,7 @@ class Parameter(NamedTuple):
     the start, directions in the body's axes by field.
     units : changes of the numbers of the first field along each direction, (directions, numbers);
     None for a start.
+    copies : further fields that hold its numbers.
     follows : what of the start follows: "" for nothing, "pose" and "twist" for the links whose
     start it is not, "joint" for a parameter of joints or constraints.
     """
@@ -58,6 +59,7 @@ class Parameter(NamedTuple):
     seeds: Callable[[Start], Seeds]
     units: Array | None = None
     follows: str = ""
+    copies: tuple[str, ...] = ()
 
     @property
     def is_start(self) -> bool:
@@ -79,7 +81,7 @@ class Parameter(NamedTuple):
     @property
     def moves_start(self) -> bool:
         """Return whether it is of a joint or a constraint, with which the start changes."""
-        return not self.is_start and len(self.fields) > 1
+        return self.follows == JOINT
 
 
 def slices_of(parameters: Iterable[Parameter]) -> dict[str, slice]:
@@ -162,7 +164,8 @@ def _unknown(model: Model, argument: str, name: str, known: dict[str, Parameter]
     place = places_of(model).get(name)
     if place is None or place.kind != "time":
         return unknown_name(argument, name, known)
-    (element,) = (e.name for e, label, _ in labelled(model) if label == name.rpartition(".")[0])
+    owner = f".{name.rpartition('.')[0]}"
+    element = next(e.name for e, label, _ in labelled(model) if f".{label}".endswith(owner))
     return ArgumentError(
         f"{argument}={brief(name)} determines times at which {element} jumps, by which the motion "
         "is not differentiated; leave it out"
@@ -178,16 +181,19 @@ def _parameters(model: Model) -> Iterator[Parameter]:
     for name, place in places_of(model).items():
         if place.kind not in ("frame", "time"):
             parameter = partial(_geometric, model) if place.binds else _plain
-            yield parameter(name, place.field, _units(place), place.unit)
+            yield parameter(name, place, _units(place))
 
 
 # ---- directions --------------------------------------------------------------------------------
 
 
-def _plain(name: str, field: str, units: Array, unit: str) -> Parameter:
+def _plain(name: str, place: Place, units: Array) -> Parameter:
     """Return a parameter on which the start does not depend.   units : (directions, numbers)."""
-    seeds = {field: units[:, None]}
-    return Parameter(name, len(units), unit, (field,), lambda start: seeds, units)
+    fields = place.field, *place.copies
+    seeds = dict.fromkeys(fields, units[:, None])
+    return Parameter(
+        name, len(units), place.unit, fields, lambda start: seeds, units, copies=place.copies
+    )
 
 
 def _units(place: Place) -> Array:
@@ -202,10 +208,10 @@ def _units(place: Place) -> Array:
     return units.reshape(-1, 9)
 
 
-def _geometric(model: Model, name: str, field: str, units: Array, unit: str) -> Parameter:
+def _geometric(model: Model, name: str, place: Place, units: Array) -> Parameter:
     """Return a parameter of a joint or a constraint, with which the start changes."""
-    fields = field, *_start_fields(model, "pose0")
-    return _plain(name, field, units, unit)._replace(fields=fields, follows=JOINT)
+    fields = place.field, *_start_fields(model, "pose0")
+    return _plain(name, place, units)._replace(fields=fields, follows=JOINT)
 
 
 def _start_fields(model: Model, name: str) -> tuple[str, ...]:

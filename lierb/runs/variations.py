@@ -93,7 +93,8 @@ class Variation:
                 own = self.model.inputs[p.fields[0]]
                 before = numbers.get(p.fields[0], own)  # several points may share a frame
                 values = self.values[p.name] + changes[p.name]
-                numbers[p.fields[0]] = _replaced(before, item_shape(own, p), p, values)
+                changed = _replaced(before, item_shape(own, p), p, values)
+                numbers |= dict.fromkeys((p.fields[0], *p.copies), changed)
         model = self.model.renumbered(numbers) if numbers else self.model
         poses, twists = self._moved_start(model, changes)
         return Varied(model, poses, twists)

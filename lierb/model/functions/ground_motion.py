@@ -6,6 +6,7 @@ import inspect
 from collections.abc import Callable, Iterable
 from typing import Any, ClassVar, overload
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from lierb.errors import ArgumentError, ForceError, brief
@@ -123,9 +124,24 @@ def require_one_ground(model: Any) -> None:
             f"{moving[0].name} moves the ground for {', '.join(sorted({*links}))} only; give "
             f"ground_motion={moving[0].name}(…) to the model, which is for all links"
         )
+    of_link = {link: [x for x in moving if x.at == moving[links.index(link)].at] for link in links}
+    for own in of_link.values():
+        for force, first in zip(own, of_link[links[0]], strict=True):
+            _require_same(force, first)
     for force in model.forces:
         if force.kind.adds_inertia:
             raise ForceError(
                 f"{force.name} adds inertia to a link, on which a ground_motion does not act; "
                 "move the ground by a link on a slide with motor(position=…)"
+            )
+
+
+def _require_same(force: MovingGround, first: MovingGround) -> None:
+    """Raise ForceError for parts of a motion, on two links, with different numbers."""
+    for name, array in force.parameters.items():
+        other = first.parameters.get(name)
+        if other is None or not np.array_equal(array, other):
+            raise ForceError(
+                f"{force.name} has another {name} for {force.at[0]} than {first.name} for "
+                f"{first.at[0]}; the ground moves for all links alike"
             )

@@ -137,7 +137,10 @@ class AlongParameters:
         names = names_of(self.study, model)
         ordered = sorted(names.items(), key=lambda pair: pair[0] == quantity)
         owners = {
-            by_name[own].fields[0]: name for name, own in ordered if not by_name[own].is_start
+            field: name
+            for name, own in ordered
+            if not by_name[own].is_start
+            for field in (by_name[own].fields[0], *by_name[own].copies)
         }
         for field, link in zip(model.fields, model.link_names, strict=True):
             prefix = f"{link}." if link else ""
