@@ -35,8 +35,12 @@ from lierb.support.files import reason
 
 PREFIX = "python:"
 FILE = r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,95}\.py"
-PATTERN = rf"^{PREFIX}{FILE}:[A-Za-z_][A-Za-z0-9_]{{0,99}}$"
-EXPECTED = '"python:FILE.py:NAME", FILE.py beside the study and NAME a function in it'
+NAME = "[A-Za-z_][A-Za-z0-9_]{0,99}"
+PATTERN = rf"^{PREFIX}{FILE}:{NAME}$"
+EXPECTED = (
+    '"python:FILE.py:NAME", FILE.py beside the study and NAME a function in it, both of the '
+    "letters A to z, digits and _, the file also of . and -"
+)
 KINDS: dict[str, tuple[type[Decorated], str]] = {
     "forces": (JumpingFunction, "wrench, @lierb.variable_mass or @lierb.ground_motion"),
     "constraints": (ConstraintFunction, "constraint"),
@@ -237,7 +241,13 @@ def source_of(decorated: Decorated) -> tuple[str, str, str]:
     if code.co_filename in _texts:
         return *_texts[code.co_filename], function.__name__
     path = Path(code.co_filename)
-    if not path.is_file() or not re.fullmatch(FILE, path.name):
+    for name, form in ((path.name, FILE), (function.__name__, NAME)):
+        if path.is_file() and not re.fullmatch(form, name):
+            raise StudyError(
+                f"{function.__name__} is defined in {brief(path.name)}; a study names functions "
+                f"as {EXPECTED}; rename {name}"
+            )
+    if not path.is_file():
         raise StudyError(
             f"{function.__name__} is defined in {brief(code.co_filename)}, from where it cannot be "
             "loaded again; write it in a file NAME.py, and import it from there (in a notebook: "
