@@ -128,6 +128,7 @@ def test_a_root_at_zero_has_no_slope(air):
         )
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::lierb.errors.DerivativeWarning")  # of stops with dampers
 @pytest.mark.parametrize("options", [{"dt": 0.01}, {"rtol": 1e-9}])
 @pytest.mark.parametrize("stop", [0.3, -0.7])
@@ -159,6 +160,7 @@ def test_the_direction_decides_on_a_stop(stop, off, damping, options):
         np.testing.assert_allclose(by_stop, [1.0 - np.cos(turn * end), 0.0], rtol=1e-7, atol=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("options", [{"rtol": 1e-9}, {"dt": 1e-4}])
 @pytest.mark.parametrize("turns", [None, "turned"])
 @pytest.mark.parametrize("sign", [1.0, -1.0])

@@ -506,7 +506,7 @@ def test_memory_is_estimated_before(monkeypatch):
         fitted(pendulum(), measured(4))
 
 
-@pytest.mark.parametrize("guess", [(0.0, 0.3), (0.0, 0.0)])
+@pytest.mark.parametrize("guess", [(0.0, 0.3), pytest.param((0.0, 0.0), marks=pytest.mark.slow)])
 def test_a_guess_of_zero_in_a_tiny_system_has_a_size(guess):
     """A pendulum of 1 mm and 1 mg moves as one of 1 m does under a thousandth of the gravity."""
     length, inertia = 1e-3, 1e-6 * 1e-3**2
