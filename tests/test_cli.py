@@ -86,6 +86,7 @@ class TestPaper:
         for name in ("summary.parquet", "history.parquet", "figure_2_spherical_position.png"):
             assert (out / name).stat().st_size > 1000
 
+    @pytest.mark.slow
     def test_errors_that_a_joint_has_no_rows_for_are_dashes(self, tmp_path):
         table = invoke("paper", "--no-figures", "--out", tmp_path).stdout.split("\npos, rot:")[0]
         rows = [line.split() for line in table.splitlines() if " 1e-2 " in line]
