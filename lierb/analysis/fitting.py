@@ -205,10 +205,10 @@ def _solved(variation: Variation, data: Measurements, runs: Runs, bounds: Any, m
     parameters = with_directions(variation.parameters, fixed_directions(variation))
     variation = Variation(variation.base, parameters, variation.t0)
     evaluations, task = 0, Task(variation, data, runs)
-    task.unknowns.bound_sizes(task.slope, data.norms(data.count)[0])
     if data.size < task.unknowns.size:
         samples = few_samples(data.size, task.unknowns.size)
         raise ArgumentError(f"data has {samples}; expected as many samples or more")
+    task.unknowns.bound_sizes(task.slope, data.norms(data.count)[0])
     for _ in range(ROUNDS):
         before = task.unknowns
         x, solution, sides = _minimised(task, bounds, max(most - evaluations, 1))
