@@ -320,8 +320,8 @@ class Problem(Model):
         for number in np.flatnonzero(against)[:1].tolist():
             raise PoseError(
                 f"{label(number)} holds the "
-                f"{self.joint.name} joint the wrong way round, half a turn off, from where no way "
-                "back is the shortest; turn it by less, or one of the joint's frames by 180°"
+                f"{self.joint.name} joint the wrong way round, half a turn off, where both "
+                "ways back are equally short; turn it by less, or one of the joint's frames by 180°"
             )
         in_body_axes, _ = SE3.to_user_axes(parameters, (so3.orthonormalised(q), d), at_rest)
         return finite("the closed pose", pose_matrix(in_body_axes))

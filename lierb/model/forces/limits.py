@@ -205,6 +205,6 @@ def _require_order(lower: Array, upper: Array, turn: float) -> None:
     for body, label in first_bad("upper", highs - lows >= turn):
         raise ArgumentError(
             f"{label} is {highs.flat[body]} rad, a turn or more above lower, {lows.flat[body]}: "
-            "stops that know the pose alone would never act; expected less than 2π between them, "
-            "or turns= the name of a lierb.turns that counts them"
+            "stops that depend on the pose alone would never act; expected less than 2π between "
+            "them, or turns=, the name of a state of lierb.turns, which counts turns"
         )
