@@ -93,9 +93,9 @@ class Problem(Model):
     controllers : Controller or iterable of Controller, optional
         Sampled controllers, made by `lierb.controller`: called once per period, with constant
         outputs in between.
-    ground_motion : motion of a ground, or callable, optional
+    ground_motion : ground motion or callable, optional
         Displacement of the ground: made by a function decorated by `lierb.ground_motion`, or a
-        function of t, s, that returns (3,) m. All results are relative to the moving ground.
+        function of t in s that returns (3,) in m. All results are relative to the moving ground.
         Default: the ground is at rest.
 
     Raises

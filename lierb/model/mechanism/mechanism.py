@@ -54,15 +54,15 @@ class Mechanism(TreeKinematics):
     sites : mapping of str to Site, optional
         Named frames of links, which have no effect on the motion: `(link, pose, point)` of each.
         `from_mjcf` and `from_urdf` read them.
-    ground_motion : motion of a ground, or callable, optional
+    ground_motion : ground motion or callable, optional
         Displacement of the ground: made by a function decorated by `lierb.ground_motion`, or a
-        function of t, s, that returns (3,) m. All results are relative to the moving ground.
+        function of t in s that returns (3,) in m. All results are relative to the moving ground.
         Default: the ground is at rest.
 
     Raises
     ------
     ArgumentError
-        The links do not form a tree, or no link has a name that is referred to.
+        The links do not form a tree, or a link that is named does not exist.
     ForceError
         A force acts about a joint axis that does not exist, or a function uses states or controls
         that the mechanism does not have.
