@@ -83,7 +83,7 @@ def integrate(
     threads: int | None = None,
     progress: Progress = None,
 ) -> Result:
-    """Integrate a body or a mechanism, or every member of a batch of them, from t0 to t_end.
+    """Integrate a body or a mechanism, or a batch of them, from t0 to t_end.
 
     For a mechanism, poses and twists are dictionaries by link.
 
@@ -98,8 +98,8 @@ def integrate(
         Pose at t0; a Rotation of SciPy is a pose with the position 0. Default: the closed joint;
         for a mechanism `Mechanism.pose()`, all coordinates 0.
     dt : float, optional
-        Length of the fixed steps, s; a whole number of steps must fit between t0 and t_end. With
-        adaptive steps, length of the first step; default: Hairer's choice.
+        Length of the fixed steps, s; t_end − t0 must be a multiple of it. With adaptive steps,
+        length of the first step; default: Hairer's choice.
     t_end : float
         End time, s.
     t0 : float, optional
@@ -122,7 +122,7 @@ def integrate(
         bound.
     discontinuities : array_like, shape (m,), optional
         Times, s, in ascending order, at which a function of t jumps or has a kink. A step ends at
-        each of these times, and the stages of a step evaluate the function on their own side of it.
+        each of these times, and no step evaluates the function on the other side of it.
         Times that differ between trajectories are parameters of a `lierb.wrench`. Default: none.
     method : str or Method, optional
         A name of `lierb.methods.METHODS`, a `ButcherTableau`, a `RosenbrockTableau` or a
@@ -137,19 +137,19 @@ def integrate(
     update : {"local", "global", "ambient"}, optional
         "local": Munthe-Kaas, a new chart at each step. "global": one chart, moved at ‖ξ‖ = π.
         "ambient": quaternions and positions, normalised after each step; faster, not for
-        commutator-free methods. In a mechanism, nodes about and along one axis keep "local".
+        commutator-free methods. In a mechanism, joints about or along one axis keep "local".
     solver : {"auto", "saddle", "subgroup", "looped", "unrolled"}, optional
         "saddle" solves the index-1 saddle-point problem in every stage, as the paper does.
         "subgroup" is for a joint whose motions form a subgroup of SE(3), on "SE3" or "reduced": the
         solution is a constant gain, computed once. It requires check="raise"; a start that violates
-        the joint by less than the tolerance is projected to the subgroup. "auto" is "subgroup" if
+        the joint by less than the tolerance is projected onto the subgroup. "auto" is "subgroup" if
         possible, otherwise "saddle". For a mechanism, "looped" is code that loops over the links of
-        any tree on reduced coordinates and is compiled once for all trees; it refuses by name what
-        it does not support. "unrolled" is code for one tree, which is compiled for it. "auto" is
-        "looped" for more than seven links, if possible.
+        any tree on reduced coordinates and is compiled once for all trees; an error names what it
+        does not support. "unrolled" is code that is compiled for one tree. "auto" is "looped" for
+        more than seven links, if possible.
     stabilise : "project" or Stabilisation, optional
         Stabilisation of a mechanism's loops, and of its joints on "SE3" and "SO3xR3", which drift
-        otherwise. "project" projects pose and velocity to the constraints after each step, by the
+        otherwise. "project" projects pose and velocity onto the constraints after each step, by the
         change of least kinetic energy. `lierb.baumgarte(alpha, beta)` adds Baumgarte's terms.
         Default: none.
     check : {"raise", "warn", "off"}, optional
@@ -161,23 +161,22 @@ def integrate(
         method's continuous extension or, if it has none, from an extra step. The column `step` is
         then the row's number.
     record : iterable of str, optional
-        Extra columns of `history`: "state"; "energy"; "multipliers", λ (a free body has none);
-        "reaction", the joint's wrench on the body (torque, force), N m and N, about the origin of
-        the body's joint frame and in its axes. It does not depend on the rows that describe the
-        joint.
+        Extra columns of `history`: "state", pose and twist; "energy", with the work of forces;
+        "multipliers", λ (a free body has none); "reaction", the joint's wrench on the body (torque,
+        force), N m and N, about the origin of the body's joint frame and in its axes.
     measure_every : int, optional
         Number of steps between samples of the maxima in `summary`.
     events : Event or iterable of Event, optional
         Events made by `lierb.event`, in addition to the problem's own; see `Result.events`. A
         terminal event ends its trajectory with status "event".
     with_respect_to : str or iterable of str, optional
-        Parameters by which the run is differentiated, exactly: `Result.sensitivities` and
-        `Result.sensitivity`. Starts: "omega0", "twist0", "pose0", as C exp ε. Numbers of the
-        model: "gravity", "body.mass", "body.com", "body.inertia" (11, 22, 33, 12, 13, 23),
-        "joint.body_point", "joint.ground_point", "joint.pitch", "joint.length", and parameters of
-        forces, functions and states, such as "spring_damper.stiffness". The names of a mechanism
-        begin with the link, the loop or the element's link: "rod.omega0", "rod.body.mass",
-        "rod.joint.body_point", "rod.spring_damper.stiffness". See Notes.
+        Parameters with respect to which the run is differentiated, exactly: see
+        `Result.sensitivities` and `Result.sensitivity`. Starts: "omega0", "twist0", and "pose0", as
+        C exp ε. Numbers of the model: "gravity", "body.mass", "body.com", "body.inertia" (11, 22,
+        33, 12, 13, 23), "joint.body_point", "joint.ground_point", "joint.pitch", "joint.length",
+        and parameters of forces, functions and states, such as "spring_damper.stiffness". The names
+        of a mechanism begin with the link, the loop or the element's link: "rod.omega0",
+        "rod.body.mass", "rod.joint.body_point", "rod.spring_damper.stiffness". See Notes.
     seed : int, optional
         Seed of `lierb.noise`.
     trajectories : array_like of int, shape (n,), optional
@@ -186,9 +185,9 @@ def integrate(
         Number of threads in this call. Default: Numba's.
     progress : bool or callable, optional
         True for a bar on stderr (needs `lierb[cli]`) or, in a notebook, below the cell; False for
-        none; or a function of (done, total). The unit is body-steps or, if each trajectory has its
-        own clock, thousandths of trajectories. Default: a bar after two seconds, on a terminal or
-        in a notebook.
+        none; or a function of (done, total). The unit is body-steps; with adaptive steps it is
+        thousandths of trajectories. Default: a bar after two seconds, on a terminal or in a
+        notebook.
 
     Returns
     -------
@@ -208,29 +207,30 @@ def integrate(
     -----
     FailedTrajectoryWarning
         Some trajectories have failed during the run. Each has a status in `summary`; the other
-        trajectories are unaffected. The warning names a force or state that is not finite at the
-        start, and a variable mass that is negative.
+        trajectories are unaffected. The warning names forces and states that are not finite at the
+        start, and variable masses that are negative.
     StiffStepWarning
         Fixed steps exceed the method's stability bound for the stiffness or damping of a force of
         `lierb.forces`, or stability limits adaptive steps. The run continues.
     InconsistentStateWarning
-        With check="warn", a start violates the joint; or joints are far off the positions that
-        motors prescribe, whose rate jumps.
+        With check="warn", a start violates the joint. Or joints are far off the positions that
+        motors prescribe, because a prescribed rate jumps.
     DerivativeWarning
-        A force or function switches by a comparison; its derivatives are right only if it is
-        continuous there. Or derivatives change by more than a tenth with half the adaptive steps.
+        A force or function switches by a comparison; derivatives are right only if it is
+        continuous there. Or, with adaptive steps, derivatives change by more than a tenth if the
+        steps are halved.
 
     Notes
     -----
     Derivatives are those of the method's steps: dual numbers go through the same code, a few
-    directions at a time, and values and steps are those of a run without derivatives, to the bit. A
+    directions at a time. Values and steps are those of a run without derivatives, to the bit. A
     direction of a start is projected onto the motions that joints and loops admit, by least kinetic
-    energy, as by `Problem.project`: the derivatives times a change that they admit are its effect.
-    If a joint moves on its bodies, its frames keep their relative motion.
+    energy, as by `Problem.project`. So the derivatives times an admitted change are its effect. If
+    a joint's point changes, the joint's frames keep their relative motion.
 
-    With adaptive steps, the embedded error estimate of a step is in each block at most
-    √(atol² + rtol² size²), divided by the method's `ButcherTableau.calibration`. Blocks are
-    rotation (of size 1 rad), position, omega, v, and each of the user's states.
+    With adaptive steps, the error estimate of a step is kept below
+    √(atol² + rtol² size²)/`ButcherTableau.calibration` in each block. Blocks are rotation (of size
+    1 rad), position, omega, v, and each of the user's states.
 
     Examples
     --------

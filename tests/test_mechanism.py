@@ -773,7 +773,7 @@ REFUSED = {
     "own parent": (lambda: lierb.Mechanism([link("a", "a")]), ArgumentError, "cycle, a → a"),
     "two parents": (
         lambda: lierb.Mechanism([link("a"), link("b"), link("b", "a")]),
-        ArgumentError, "two are named b.*two parents is one Link, and a Loop",
+        ArgumentError, "two parts are named b.*two parents is one Link, and a Loop",
     ),
     "loop named as a link": (
         lambda: two(loops=lierb.Loop("a", HINGE, "b")), ArgumentError, "a link and a loop",

@@ -98,7 +98,7 @@ def test_data_frames_have_a_column_for_each_component(result):
 def test_links_and_loops_differ_where_case_is_ignored():
     ball = lierb.bodies.sphere(0.1, mass=1.0)
     links = [lierb.Link(name, ball, lierb.joints.free()) for name in ("rod", "Rod")]
-    with pytest.raises(ArgumentError, match="two are named Rod, a link and a link"):
+    with pytest.raises(ArgumentError, match="two parts are named Rod, a link and a link"):
         lierb.Mechanism(links)
 
 

@@ -324,10 +324,10 @@ def test_outputs_that_a_controller_sees_of_itself_are_found():
 @pytest.mark.parametrize(
     ("controllers", "message"),
     [
-        ([picky()], "sees turn, which depends on it.*keep in memory"),
+        ([picky()], "reads turn, which depends on it.*in memory"),
         ([growing()], "depend on each other without end"),
-        ([late()], "no controller puts out single, which late sees; there is doubled"),
-        ([late(), blinking()], "single, which late sees; there is lamp, doubled"),
+        ([late()], "no controller has the output single, which late reads; there is doubled"),
+        ([late(), blinking()], "single, which late reads; there is lamp, doubled"),
     ],
 )
 def test_outputs_that_are_not_to_be_found_are_told(controllers, message):
@@ -372,8 +372,8 @@ def pedometer():
     ("given", "message"),
     [
         ({"forces": misspelt()}, "states has no whel; it has wheel, filtered"),
-        ({"states": [wheel_and_filter(tau=1.0), other_wheel()]}, "two are named wheel, of wheel_"),
-        ({"states": [wheel_and_filter(tau=1.0), shouting()]}, "two are named torque, of shouting"),
+        ({"states": [wheel_and_filter(tau=1.0), other_wheel()]}, "are named wheel, of wheel_"),
+        ({"states": [wheel_and_filter(tau=1.0), shouting()]}, "are named torque, of shouting"),
         ({"states": [wheel_and_filter(tau=1.0), taken()]}, "energy, which is lierb's own"),
         ({"states": [wheel_and_filter(tau=1.0), pedometer()]}, "steps, which is lierb's own"),
         ({"states": [wheel_and_filter(tau=1.0), observed_too()]}, "STORED, which is that of the"),
@@ -438,11 +438,11 @@ def decorate(decorator, function=lambda t: {"x": t}, **given):
         (lierb.states, {"x": 0.0, "unit": "m"}, ArgumentError, "unit='m'; expected units by name"),
         (lierb.states, {"x": 0.0, "unit": {"y": "m"}}, UnknownNameError, "unit of='y'"),
         (lierb.states, {"x": 0.0, "unit": {"x": 3}}, ArgumentError, r"unit\['x'\]=3"),
-        (lierb.states, {"x": 0.0, "params": {"x": 0.0}}, ArgumentError, "two are named x"),
+        (lierb.states, {"x": 0.0, "params": {"x": 0.0}}, ArgumentError, "are named x"),
         (lierb.states, {"x": 0.0, "params": 3}, ArgumentError, "params=3"),
         (lierb.controller, {"every": 0.0}, ArgumentError, "every is 0.0 s; expected positive"),
         (lierb.controller, {"memory": 3}, ArgumentError, "memory=3; expected initial values"),
-        (lierb.controller, {"memory": {"m": 0.0}, "m": 1.0}, ArgumentError, "two are named m"),
+        (lierb.controller, {"memory": {"m": 0.0}, "m": 1.0}, ArgumentError, "are named m"),
     ],
 )
 def test_decorators_tell_what_is_wrong(decorator, given, error, message):

@@ -188,7 +188,7 @@ def test_other_numbers_and_states_of_their_own():
     assert changed.batch_size() == 2
     brakes = [lierb.forces.joint_stiction(**WHEEL).on(name) for name in "ab"]
     links = [lierb.Link(name, BODY, lierb.joints.revolute()) for name in "ab"]
-    with pytest.raises(ArgumentError, match="two are named bristle"):
+    with pytest.raises(ArgumentError, match="two states or outputs are named bristle"):
         lierb.Mechanism(links, forces=brakes)
 
     @lierb.observable

@@ -539,7 +539,7 @@ def test_encodings(encoding, tmp_path):
     path = tmp_path / "s.toml"
     path.write_bytes(("# °\n" + TEXT).encode(encoding))
     if encoding == "latin-1":
-        with pytest.raises(StudyError, match=r"s\.toml:1: .*utf-8"):
+        with pytest.raises(StudyError, match=r"s\.toml:1: .*UTF-8"):
             Study.load(path)
     else:
         assert Study.load(path).sample.n == 50

@@ -98,9 +98,9 @@ FILES = {
         TEXT.replace("[output]", "[[output]]"),
         r"s\.toml:40: output: input should be",
     ),
-    "UTF-16": (TEXT.encode("utf-16"), r"s\.toml:1: byte 0 is no utf-8 .*save the file as UTF-8"),
+    "UTF-16": (TEXT.encode("utf-16"), r"s\.toml:1: byte 0 is not UTF-8 .*save the file as UTF-8"),
     "empty": ("", r"s\.toml: integrate: is missing"),
-    "no text": (b"\x00\xff" * 100, r"s\.toml:1: byte 1 is no utf-8"),
+    "no text": (b"\x00\xff" * 100, r"s\.toml:1: byte 1 is not UTF-8"),
     "large": (b"#" * (LONGEST_STUDY + 1), r"s\.toml is larger than 4 MiB, the most for a study"),
     "the same dt": (
         TEXT.replace("2e-3", "0.001"),

@@ -197,11 +197,11 @@ def test_what_cannot_count_is_refused():
     with pytest.raises(ForceError, match="about which a prismatic joint does not turn"):
         lierb.Problem(BODY, lierb.joints.prismatic(), states=lierb.turns())
     states = [lierb.turns().on("a"), lierb.turns().on("b")]
-    with pytest.raises(ArgumentError, match="two are named turned"):
+    with pytest.raises(ArgumentError, match="two states or outputs are named turned"):
         lierb.Mechanism(wheels, states=states)
     with pytest.raises(ArgumentError, match="which no attribute can be"):
         lierb.turns("class")
-    with pytest.raises(ArgumentError, match=r"or turns= the name of a lierb\.turns"):
+    with pytest.raises(ArgumentError, match=r"or turns=, the name of a state of lierb\.turns"):
         lierb.forces.joint_limit(lower=-4.0, upper=4.0, stiffness=1.0)
 
 

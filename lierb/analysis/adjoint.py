@@ -92,9 +92,9 @@ def gradient(
 ) -> Gradient:
     """Differentiate one number at the end of a run by its start and all numbers of the model.
 
-    The cost does not depend on the number of parameters: it is that of about four runs. For few
-    parameters or many numbers, take `with_respect_to` of `integrate`. Looped code has no adjoint;
-    its gradients take two to three runs for each number of the parameters.
+    The cost is that of three to five runs, whatever the number of parameters. To differentiate by
+    few parameters, or several quantities, use `with_respect_to` of `integrate`. Looped code has no
+    adjoint; there a gradient takes two to three runs for each number of the parameters.
 
     Parameters
     ----------
@@ -105,8 +105,7 @@ def gradient(
         which a terminal event ends the run. An integral over the run is the end value of an extra
         state (`lierb.states`) that an observable returns.
     with_respect_to : str or iterable of str, optional
-        Parameters, as in `integrate`. Default: all, each number by one name; starts as twist0 and
-        pose0.
+        Parameters, as in `integrate`. Default: all, with the start as "twist0" and "pose0".
     twist0 : array_like, shape (6,) or (n, 6), or dict of them, optional
         Twist at t0, as in `integrate`.
     pose0 : array_like, Rotation or RigidTransform, (4, 4) or (n, 4, 4), or dict of them, optional
@@ -137,15 +136,15 @@ def gradient(
     FailedTrajectoryWarning
         Some trajectories have failed, and their gradients are NaN.
     DerivativeWarning
-        A force or function switches by a comparison, or derivatives change by more than a tenth
-        with half the adaptive steps.
+        A force or function switches by a comparison. Or, with adaptive steps, derivatives change
+        by more than a tenth if the steps are halved.
 
     Notes
     -----
-    The run is made once, with its steps; then all steps are differentiated backwards, each by the
-    transposed Jacobian. Adaptive steps keep their lengths, which have no derivatives; the time of a
-    terminal event has. Controllers keep the times of their ticks, and noise is constant. Directions
-    of a start are projected onto the motions that the joints admit, as in `integrate`.
+    The run is made once. Then its steps are differentiated backwards, each by the transposed
+    Jacobian. Lengths of adaptive steps, times of controllers' ticks and noise are constant in the
+    derivatives; the time of a terminal event is not. Directions of a start are projected onto the
+    motions that the joints admit, as in `integrate`.
 
     References
     ----------

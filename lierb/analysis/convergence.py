@@ -186,7 +186,7 @@ def verdict(errors: Sequence[float], order: Order | None) -> str:
     if not are_finite(as_floats("errors", errors)):
         return FAILED
     if not isinstance(order, Order | None):
-        raise ArgumentError(f"order={brief(order)}; expected what observed_order returns")
+        raise ArgumentError(f"order={brief(order)}; expected a result of observed_order")
     if order is None:
         return EXACT
     if not LEAST_ORDER <= order.slope < math.inf:

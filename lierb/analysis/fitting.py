@@ -83,8 +83,8 @@ def fit(
         Standard deviations of the noise by column: a number, or one for each component. Default:
         all weights are 1, and the covariance is scaled by the variance of the residuals.
     bounds : mapping, optional
-        Pairs (low, high) by parameter. An inertia needs none: it stays that of a rigid body.
-        `status` of the result names the numbers that end at a bound.
+        Pairs (low, high) by parameter. An inertia needs none: its estimate is always that of a
+        rigid body. `status` of the result names the numbers that end at a bound.
     twist0 : array_like, shape (6,) or (n, 6), or dict of them, optional
         Twist at t0, or its guess, as in `integrate`.
     pose0 : array_like, Rotation or RigidTransform, (4, 4) or (n, 4, 4), or dict of them, optional
@@ -102,8 +102,8 @@ def fit(
     Returns
     -------
     Fit
-        Estimate, standard errors and covariance, directions that the data cannot tell, the fitted
-        problem and its run.
+        Estimate, standard errors and covariance, unidentifiable directions, the fitted problem and
+        its run.
 
     Raises
     ------
@@ -114,13 +114,13 @@ def fit(
 
     Notes
     -----
-    The minimum is a local one: the guess must follow the data, for a turning body to less than
-    half a turn. Standard errors hold for independent Gaussian noise with the given `sigma`.
+    The minimum is a local one: the run of the guess must stay near the data, for a turning body
+    within half a turn. Standard errors hold for independent Gaussian noise with the given `sigma`.
     Differences of rotations and poses are log(R_dataᵀ R) and log(C_data⁻¹ C), in body axes. If
     "body.inertia" is a parameter, mass, centre of mass and inertia are varied in log-Cholesky
-    coordinates of the pseudo-inertia. A trial of numbers that no body has, or whose run fails, is
-    answered by a shorter step. The Jacobian is a dense matrix. `lierb.fits` fits many experiments
-    with unknowns of their own.
+    coordinates of the pseudo-inertia. If a step of the iteration leads to numbers that no body has,
+    or to a run that fails, a shorter one is tried. The Jacobian is a dense matrix. `lierb.fits`
+    fits many experiments with unknowns of their own.
 
     Examples
     --------

@@ -54,8 +54,8 @@ def fits(
 ) -> Fits:
     """Estimate parameters of many experiments side by side, each with unknowns of its own.
 
-    It is `lierb.fit` for each of n experiments, which are integrated in one batch: a Monte Carlo of
-    an identification, or the same measurement of many bodies.
+    It is `lierb.fit` for each of n experiments, which are integrated in one batch: a Monte Carlo
+    study of an identification, or the same measurement of many bodies.
 
     Parameters
     ----------
@@ -91,8 +91,8 @@ def fits(
     Returns
     -------
     Fits
-        Estimates, standard errors and covariances, which fits have converged, and directions that
-        data do not tell.
+        Estimates, standard errors and covariances, which fits have converged, and unidentifiable
+        directions.
 
     Raises
     ------
@@ -102,16 +102,16 @@ def fits(
     Warns
     -----
     FailedFitWarning
-        Some fits have not converged, have fewer samples than unknowns, or the run of their guess
-        has failed. The other ones are unaffected.
+        Some fits have not converged or have fewer samples than unknowns, or the run of their guess
+        has failed. The other fits are unaffected.
 
     Notes
     -----
-    The method is that of Levenberg and Marquardt: each iteration runs all experiments that have not
-    ended, with exact derivatives, in one batch; each has a step and an end of its own. An estimate
-    converges when the next step is less than a millionth of a standard error. Experiments run in
-    groups that need 0.3 GB, and others take the places of those that end. There are no bounds; an
-    inertia stays that of a rigid body, as in `fit`, whose notes hold here too.
+    The method is that of Levenberg and Marquardt. Each iteration runs all experiments that have not
+    ended in one batch, with exact derivatives. Step and convergence are decided for each experiment
+    separately: an estimate converges when the next step is less than a millionth of a standard
+    error. Experiments run in groups that need 0.3 GB of memory; when one ends, another takes its
+    place. There are no bounds. The notes of `fit` hold here too.
 
     Examples
     --------

@@ -51,12 +51,12 @@ def propagate(
     seed: int = 0,
     **options: Any,
 ) -> Propagation:
-    """Propagate a covariance of start and parameters to later times, beside a Monte Carlo sample.
+    """Propagate a covariance of start and parameters, by linear theory and a Monte Carlo sample.
 
     Parameters
     ----------
     problem : Problem or Mechanism
-        The model, one of a kind, at whose numbers the Gaussian has its mean.
+        The model, not a batch. Its numbers are the mean of the Gaussian.
     covariance : array_like, shape (p, p), or mapping
         Covariance of all numbers of the parameters, in order, such as that of a `Fit`; or a
         dictionary by parameter with a covariance (k, k), or standard deviations, (k,) or a number.
@@ -79,15 +79,15 @@ def propagate(
     monte_carlo : int, optional
         Number of runs in the sample, at least 10.
     seed : int, optional
-        Seed of the sample. All its members have the noise of controllers of the nominal run.
+        Seed of the sample. The noise of controllers is that of the nominal run in all members.
     **options : object
         Options of `integrate`, such as dt, rtol, method, cspace and threads. Default: rtol=1e-9.
 
     Returns
     -------
     Propagation
-        Covariances by linear theory and of the sample, their ratios, and where linear theory
-        holds.
+        Covariances by linear theory and of the sample, their ratios, and the times at which linear
+        theory holds.
 
     Raises
     ------
@@ -101,10 +101,10 @@ def propagate(
 
     Notes
     -----
-    Linear theory, J Σ Jᵀ with the exact derivatives J of the run, holds while deviations are small
-    against what curves the motion. The sample is drawn from the same Gaussian and integrated as
-    one batch; a sample of 400 has standard deviations to 3.5 %. Changes of a start are projected
-    onto the motions that the joints admit, as in `integrate`.
+    Linear theory, J Σ Jᵀ with the exact derivatives J of the run, holds while the motion is linear
+    in the deviations. The sample is drawn from the same Gaussian and integrated as one batch; its
+    standard deviations have a standard error of 3.5 % for 400 runs. Changes of a start are
+    projected onto the motions that the joints admit, as in `integrate`.
 
     Examples
     --------

@@ -113,7 +113,7 @@ def baumgarte(alpha: float, beta: float) -> Stabilisation:
     Parameters
     ----------
     alpha : float
-        Rate α, 1/s. Values beyond 1/dt make steps unstable.
+        Rate α, 1/s. Steps of RK4 are unstable for α = β above 2.8/dt.
     beta : float
         Rate β, 1/s.
 

@@ -93,9 +93,9 @@ class Problem(Model):
     controllers : Controller or iterable of Controller, optional
         Sampled controllers, made by `lierb.controller`: called once per period, with constant
         outputs in between.
-    ground_motion : motion of a ground, or callable, optional
+    ground_motion : ground motion or callable, optional
         Displacement of the ground: made by a function decorated by `lierb.ground_motion`, or a
-        function of t, s, that returns (3,) m. All results are relative to the moving ground.
+        function of t in s that returns (3,) in m. All results are relative to the moving ground.
         Default: the ground is at rest.
 
     Raises
@@ -320,8 +320,8 @@ class Problem(Model):
         for number in np.flatnonzero(against)[:1].tolist():
             raise PoseError(
                 f"{label(number)} holds the "
-                f"{self.joint.name} joint the wrong way round, half a turn off, from where no way "
-                "back is the shortest; turn it by less, or one of the joint's frames by 180°"
+                f"{self.joint.name} joint the wrong way round, half a turn off, where both "
+                "ways back are equally short; turn it by less, or one of the joint's frames by 180°"
             )
         in_body_axes, _ = SE3.to_user_axes(parameters, (so3.orthonormalised(q), d), at_rest)
         return finite("the closed pose", pose_matrix(in_body_axes))

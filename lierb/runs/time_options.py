@@ -199,8 +199,8 @@ def check_periods(controllers: Iterable[Controller], timing: Timing) -> None:
         shortest = float(np.min(each.parameters["every"], initial=math.inf))
         if latest / shortest > MOST_TICKS:
             raise TimeGridError(
-                f"{each.name} ticks every {shortest!r} s, which is below what t = {latest!r} s is "
-                "rounded to; give a longer every=, or times nearer to 0 s"
+                f"{each.name} ticks every {shortest!r} s, which is below the rounding of "
+                f"t = {latest!r} s; give a longer every=, or times nearer to 0 s"
             )
 
 

@@ -405,7 +405,7 @@ def test_a_condition_is_refused():
     def late(t):
         return t > 0.3
 
-    with pytest.raises(lierb.errors.ForceError, match=r"late returns whether .* t - 0\.3"):
+    with pytest.raises(lierb.errors.ForceError, match=r"late returns a condition.* t - 0\.3"):
         thrown(1.0, 0.0, events=late())
 
 

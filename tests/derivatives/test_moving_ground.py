@@ -76,5 +76,5 @@ def test_a_part_of_the_motion_has_no_name_and_no_numbers_of_its_own():
     with pytest.raises(UnknownNameError, match=r"Did you mean 'shaking\.amplitude'"):
         lierb.integrate(made, dt=0.01, t_end=0.1, with_respect_to="upper.shaking.amplitude")
     parts = [shaking(amplitude=size).on(link) for link, size in (("upper", 0.1), ("lower", 0.2))]
-    with pytest.raises(ForceError, match=r"another amplitude for lower than shaking for upper"):
+    with pytest.raises(ForceError, match=r"amplitude of shaking differs for lower and upper"):
         lierb.Mechanism(made.links, forces=parts)

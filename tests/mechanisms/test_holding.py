@@ -314,5 +314,5 @@ def test_assemblies_that_cannot_be_listed_are_refused():
         bars.assemblies({"crank": 0.1}, starts=0)
     links = [lierb.Link(name, wheel, lierb.joints.revolute()) for name in ("left", "right")]
     pair = lierb.Mechanism(links, forces=lierb.forces.gear(ratio=2.0).on("left", "right"))
-    with pytest.raises(lierb.errors.ArgumentError, match="a gear's mesh is that of a start"):
+    with pytest.raises(lierb.errors.ArgumentError, match="how gears mesh depends on the start"):
         pair.assemblies({"left": 0.1})

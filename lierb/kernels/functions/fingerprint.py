@@ -69,7 +69,7 @@ def _described(value: Any, name: str, path: list[Any]) -> Any:
     if is_foreign(value):
         return "known", str(getattr(value, "__module__", "")), getattr(value, "__qualname__", name)
     raise UnfitFunctionError(
-        f"it refers to {name}, a {type(value).__name__}, of which lierb cannot tell when it "
+        f"it refers to {name}, a {type(value).__name__}, and lierb cannot detect when that "
         "changes; use numbers, arrays and functions, or parameters"
     )
 

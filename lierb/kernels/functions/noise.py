@@ -87,14 +87,14 @@ def normal(name: str, size: int | tuple[()] = ()) -> Any:
     if draws is None:
         raise UnfitFunctionError(
             f"lierb.noise.normal({name!r}) is drawn outside of a controller; draw it in a function "
-            "of @lierb.controller, which puts it out for others, or take lierb.noise.sample for a "
-            "look at its numbers"
+            "of @lierb.controller and return it as an output, or use lierb.noise.sample to look at "
+            "its numbers"
         )
     noise, drawn = draws
     if name in drawn:
         raise UnfitFunctionError(
-            f"it draws the noise {name!r} twice, which would be the same numbers; give each a name "
-            "of its own, or draw all at once by a count"
+            f"it draws the noise {name!r} twice, which would give the same numbers twice; give "
+            f"each a name of its own, or draw all at once: lierb.noise.normal({name!r}, count)"
         )
     drawn.add(name)
     components = [UserNumber(x) for x in normals(noise, name, count)]

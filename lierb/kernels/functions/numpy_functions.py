@@ -28,7 +28,8 @@ def _each(function: Callable[..., Any], *arrays: Any) -> Any:
 def _where(condition: Any, a: Any = None, b: Any = None) -> Any:
     if a is None or b is None:
         raise UntraceableError(
-            "np.where with a condition alone selects bodies; write np.where(condition, a, b)"
+            "np.where with a condition alone returns indices, which differ between bodies; write "
+            "np.where(condition, a, b)"
         )
     return _each(choice, condition, a, b)
 

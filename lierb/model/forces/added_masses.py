@@ -66,7 +66,7 @@ def added_mass(inertia: ArrayLike) -> Force:
     The fluid has no weight: buoyancy and drag are separate forces. The energy and momentum of a
     result are those of the bodies; the work includes that of the fluid.
 
-    It is for a link of a `lierb.Mechanism`: the equations of motion are solved with it.
+    It acts on a link of a `lierb.Mechanism`, and is included in the mass matrix.
 
     Parameters
     ----------

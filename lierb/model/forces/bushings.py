@@ -163,10 +163,10 @@ def bushing(
 ) -> Force:
     """Apply springs and dampers about and along three axes, between the body and the ground.
 
-    The deflection q = (φ, e) has the rotation vector φ of the body relative to `rotation` and the
-    displacement e of `body_point` from `ground_point`, both in `axes`. The generalised force is
-    −(K q + C q̇); the torque on the body is that of the potential ½ qᵀK q at any angle below half a
-    turn, where φ jumps. The energy includes ½ qᵀK q, the work the dampers' power −q̇ᵀC q̇.
+    The deflection is q = (φ, e): φ is the rotation vector of the body relative to `rotation`, and e
+    the displacement of `body_point` from `ground_point`, both in `axes`. The generalised force is
+    −(K q + C q̇). The springs have the exact potential ½ qᵀK q for any angle up to half a turn,
+    where φ jumps. The energy includes ½ qᵀK q, the work the dampers' power −q̇ᵀC q̇.
 
     Parameters
     ----------

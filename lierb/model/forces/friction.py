@@ -50,10 +50,10 @@ def joint_friction(
 ) -> Force:
     """Apply friction in a joint that turns: −(viscous + coulomb/√(ω² + speed²))·ω about its axis.
 
-    Coulomb's friction is smoothed: it is 71 % of `coulomb` at ω = speed, 100 % far above, and
-    viscous far below, so that a joint that should stick creeps. Near ω = 0 its damping is
-    coulomb/speed: steps must be short relative to inertia·speed/coulomb. The joint must keep the
-    axis e₃.
+    Coulomb's friction is smoothed: it is 71 % of `coulomb` at ω = speed, approaches it above, and
+    is viscous below, so that a joint that should stick creeps. Near ω = 0 the damping is
+    coulomb/speed: steps of explicit methods must be short relative to inertia·speed/coulomb. The
+    joint must keep the axis e₃.
 
     Parameters
     ----------

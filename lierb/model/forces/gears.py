@@ -109,8 +109,8 @@ def gear(ratio: ArrayLike, *, coordinates: Sequence[str | None] | None = None) -
     that of the second one's. The coordinates are those of `Mechanism.coordinates`, relative to each
     joint's parent: two outer wheels on one carrier have a negative ratio. The coupling is ideal: it
     transmits −λ to the first joint and ratio·λ to the second one, each between its link and the
-    parent, and does no work. The start must have this ratio of rates, and its coordinates are where
-    the teeth meet; `Mechanism.project` finds such rates, and `Mechanism.close` keeps the mesh.
+    parent, and does no work. The rates at the start must have this ratio: `Mechanism.project` finds
+    such rates. The teeth mesh at the coordinates of the start: `Mechanism.close` keeps the mesh.
 
     Parameters
     ----------

@@ -118,9 +118,10 @@ def joint_limit(
     """Apply stops to a joint that turns: a spring and a damper about its axis beyond either one.
 
     The energy includes the spring, the work the damper's power. Without `turns`, a stop depends on
-    the pose, not on the path to it: the spring turns back the shorter way, so that upper − lower
-    must be less than 2π. Steps must be short relative to √(inertia/stiffness); a step across a stop
-    is of lower order. The joint must keep the axis e₃.
+    the pose, not on the number of turns, and the spring turns back the shorter way: so
+    upper − lower must be less than 2π. Steps must be short relative to √(inertia/stiffness). A
+    fixed step across a stop is of lower order; adaptive steps end there. The joint must keep the
+    axis e₃.
 
     Parameters
     ----------
@@ -143,7 +144,8 @@ def joint_limit(
     Raises
     ------
     ArgumentError
-        `stiffness` or `damping` is negative, `lower` is above `upper`, or they are a turn apart.
+        `stiffness` or `damping` is negative, `lower` is above `upper`, or they are a turn or more
+        apart without `turns`.
 
     Examples
     --------
@@ -203,6 +205,6 @@ def _require_order(lower: Array, upper: Array, turn: float) -> None:
     for body, label in first_bad("upper", highs - lows >= turn):
         raise ArgumentError(
             f"{label} is {highs.flat[body]} rad, a turn or more above lower, {lows.flat[body]}: "
-            "stops that know the pose alone would never act; expected less than 2π between them, "
-            "or turns= the name of a lierb.turns that counts them"
+            "stops that depend on the pose alone would never act; expected less than 2π between "
+            "them, or turns=, the name of a state of lierb.turns, which counts turns"
         )

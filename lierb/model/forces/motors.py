@@ -162,7 +162,7 @@ def motor(
     coordinate: str | None = None,
     **parameters: ArrayLike,
 ) -> Force:
-    """Drive the joint axis by a torque about it, by a force along it, or by a motion as given.
+    """Drive a joint by a torque about its axis, a force along it, or a prescribed motion.
 
     Exactly one of `torque`, `force`, `speed` and `position` must be given: a number, one number for
     each body, or a function of (t) or (t, params), t in s, or with a further argument `body`.
@@ -170,11 +170,10 @@ def motor(
     such as revolute, prismatic, cylindrical, screw and planar.
 
     A speed or a position is a further constraint, and −λ of its row is the torque or the force of
-    the motor. The start must satisfy it: a position prescribes the speed too, by its exact
-    derivative. Its rate must be continuous: a jump would take an impulse, which a run does not
-    have; the joint then moves on at its old rate, and a warning says how far off it is.
-    `Mechanism.close(pose, t0=…)` and `Mechanism.project(twist, pose, t0=…)` find such a
-    start.
+    the motor. The start must satisfy it; a position prescribes the speed too, by its exact
+    derivative. `close(pose, t0=…)` and `project(twist, pose, t0=…)` of `Problem` and `Mechanism`
+    find such a start. The prescribed rate must be continuous: a run has no impulses. If it jumps,
+    the joint moves on at its old rate, and a warning has the distance from the prescribed position.
 
     Parameters
     ----------

@@ -181,16 +181,17 @@ def torsional_spring(
 ) -> Force:
     """Apply a spring and damper about the joint axis.
 
-    Without `turns`, the spring depends on the pose, not on the path to it: it turns back to `angle`
-    the shorter way, and its torque jumps at half a turn from there. The energy includes ½kφ², φ
-    from `angle`. The joint must keep the axis e₃, such as revolute, cylindrical, screw and planar.
+    The torque is −(k φ + c φ̇), with φ the joint angle minus `angle`. Without `turns`, φ is between
+    −π and π: the spring turns back the shorter way, and its torque jumps half a turn from `angle`.
+    The energy includes ½kφ², the work the damper's power. The joint must keep the axis e₃, such as
+    revolute, cylindrical, screw and planar.
 
     Parameters
     ----------
     stiffness : float or array_like, shape (n,), optional
         Stiffness k, N m/rad.
     damping : float or array_like, shape (n,), optional
-        Damping, N m s/rad.
+        Damping c, N m s/rad.
     angle : float or array_like, shape (n,), optional
         Angle at which the spring is slack, rad.
     turns : str, optional

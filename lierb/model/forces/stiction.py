@@ -114,21 +114,21 @@ def joint_stiction(
     start: ArrayLike = 0.0,
     state: str = BRISTLE,
 ) -> Force:
-    """Apply friction that holds a joint that turns: LuGre's model.
+    """Apply friction with sticking to a joint that turns: LuGre's model.
 
-    The surfaces touch by a bristle with deflection z, an extra state:
+    A bristle between the surfaces has the deflection z, an extra state:
 
     ::
 
         ż = ω − abs(ω) stiffness z/g(ω),   g(ω) = coulomb + (static − coulomb) exp(−(ω/stribeck)²)
         torque = −(stiffness z + damping ż + viscous ω)   about the joint axis
 
-    A torque below `static` deflects the bristle, like a spring, and the joint stays where it is;
-    above it the joint breaks away and slides. `joint_friction`, which has
-    no state, lets a joint that should hold creep.
+    A torque below `static` deflects the bristle, like a spring, and the joint sticks. Above it the
+    joint breaks away and slides. With `joint_friction`, which has no state, a joint that should
+    stick creeps.
 
-    Without `damping` a joint that sticks oscillates at √(stiffness/I), I its inertia; twice the
-    root of stiffness · I is critical damping. Sliding is stiff, at the rate stiffness abs(ω)/g:
+    Without `damping` a joint of inertia I that sticks oscillates at √(stiffness/I); critical
+    damping is 2√(stiffness · I). Sliding is stiff, at the rate stiffness abs(ω)/g:
     take a Rosenbrock method, such as `method="Rodas4"`, with `rtol`. Under a load that oscillates
     below `static`, the model drifts a little in every period.
 
@@ -148,7 +148,8 @@ def joint_stiction(
     viscous : float or array_like, shape (n,), optional
         Coefficient of viscous friction, N m s/rad.
     start : float or array_like, shape (n,), optional
-        Deflection at the start, rad. A load is at rest on load/stiffness.
+        Deflection at the start, rad. A joint under a constant load is at rest with the deflection
+        load/stiffness.
     state : str, optional
         Name of the deflection, a column of `history` and `summary`, which users' functions read as
         `states.bristle`. Each stiction of a mechanism needs a name of its own.
@@ -170,7 +171,7 @@ def joint_stiction(
 
     Examples
     --------
-    A wheel of 0.01 kg m² holds against 0.9 of the torque at which it would turn:
+    A wheel of 0.01 kg m² sticks under 0.9 of the torque at which it would turn:
 
     >>> import lierb
     >>> import numpy as np
@@ -200,7 +201,7 @@ def slide_stiction(
     start: ArrayLike = 0.0,
     state: str = BRISTLE,
 ) -> Force:
-    """Apply friction that holds a joint that slides, as `joint_stiction` does one that turns.
+    """Apply friction with sticking to a joint that slides; see `joint_stiction`.
 
     Parameters
     ----------

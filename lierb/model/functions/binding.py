@@ -67,8 +67,8 @@ def _require_number(event: Event) -> None:
     """Raise ForceError if an event is a condition, which jumps instead of crossing zero."""
     if any(f.is_traced and returns_condition(f) for f in event.kind.functions):
         raise ForceError(
-            f"{event.name} returns whether something is so; an event is where a number crosses "
-            "zero: return the difference, such as t - 0.3 for t > 0.3, and give direction="
+            f"{event.name} returns a condition; an event is where a number crosses zero: return "
+            "the difference, such as t - 0.3 for t > 0.3, and give direction="
         )
 
 
@@ -80,8 +80,8 @@ def _require_different(elements: Iterable[Element]) -> None:
             if name.lower() in owners:
                 hint = ', such as state="…" of a force' if isinstance(each, Force) else ""
                 raise ArgumentError(
-                    f"two are named {name}, of {owners[name.lower()]} and of {each.name}; states "
-                    f"and outputs of controllers need names of their own{hint}"
+                    f"two states or outputs are named {name}, of {owners[name.lower()]} and of "
+                    f"{each.name}; give each state and each output its own name{hint}"
                 )
             owners[name.lower()] = each.name
 
@@ -168,8 +168,8 @@ def _outputs_in_a_ring(functions: dict[int, Function], known: Shapes) -> dict[in
                     traced, unknown = _outputs_or_unknown(function, (*known, *guessed.items()))
                 except ForceError as error:
                     raise ForceError(
-                        f"{error} (it sees {', '.join(guessed)}, which depends on it and was taken "
-                        "for a number to find its shape; keep in memory what it has put out)"
+                        f"{error} (it reads {', '.join(guessed)}, which depends on it and was "
+                        "assumed to be a number; keep the output in memory instead)"
                     ) from None
                 if traced is None:
                     guessed[unknown] = ()
@@ -180,12 +180,12 @@ def _outputs_in_a_ring(functions: dict[int, Function], known: Shapes) -> dict[in
             if name not in shapes:
                 existing = ", ".join((*dict(known), *shapes)) or "nothing"
                 raise ForceError(
-                    f"no controller puts out {name}, which {names} sees; there is {existing}"
+                    f"no controller has the output {name}, which {names} reads; there is {existing}"
                 )
         if all(shapes[name] == shape for name, shape in guessed.items()):
             return outputs
         guessed = {name: shapes[name] for name in guessed}
     raise ForceError(
-        f"the shapes of what {names} put out depend on each other without end; keep in memory what "
-        "they have put out"
+        f"the shapes of the outputs of {names} depend on each other without end; keep these "
+        "outputs in memory instead"
     )

@@ -122,7 +122,7 @@ def require_one_ground(model: Any) -> None:
     if any(links.count(link) != links.count(links[0]) for link in model.link_names):
         raise ForceError(
             f"{moving[0].name} moves the ground for {', '.join(sorted({*links}))} only; give "
-            f"ground_motion={moving[0].name}(…) to the model, which is for all links"
+            f"ground_motion={moving[0].name}(…) to the model, which moves it for all links"
         )
     of_link = {link: [x for x in moving if x.at == moving[links.index(link)].at] for link in links}
     for own in of_link.values():
@@ -142,6 +142,6 @@ def _require_same(force: MovingGround, first: MovingGround) -> None:
         other = first.parameters.get(name)
         if other is None or not np.array_equal(array, other):
             raise ForceError(
-                f"{force.name} has another {name} for {force.at[0]} than {first.name} for "
-                f"{first.at[0]}; the ground moves for all links alike"
+                f"{name} of {force.name} differs for {force.at[0]} and {first.at[0]}; the ground "
+                "has the same motion for all links"
             )

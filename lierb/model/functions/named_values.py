@@ -88,7 +88,7 @@ def parameter_defaults(defaults: Any, initial: Iterable[str]) -> dict[str, Any]:
     checked = mapping_of("params", defaults, 'defaults by name, such as {"tau": 0.5}')
     for name in checked:
         if name in initial:
-            raise ArgumentError(f"two are named {name}: a parameter and an initial value")
+            raise ArgumentError(f"two arguments are named {name}: a parameter and an initial value")
     return checked
 
 

@@ -39,7 +39,7 @@ def assemblies_at(
     for name, numbers in fixed.items():
         if numbers.ndim > 1 and len(numbers) > 1:
             raise ArgumentError(
-                f"hold[{name!r}] has {len(numbers)} members; assemblies are those of one: call it "
+                f"hold[{name!r}] has {len(numbers)} members; assemblies searches for one: call it "
                 "for each"
             )
     length = float(np.max(System(mechanism, 1).length))
@@ -70,12 +70,12 @@ def _require_one(mechanism: TreeKinematics, near: dict[str, Array], starts: int)
         raise ArgumentError(f"starts={brief(starts)}; expected a whole number, 1 or more")
     if (mechanism.batch_size(**{f"pose[{n!r}]": (x, 2) for n, x in near.items()}) or 1) > 1:
         raise ArgumentError(
-            "assemblies are those of one member of the batch; take mechanism.of_body(…)"
+            "assemblies searches for one member of the batch; use mechanism.of_body(…)"
         )
     if any(at.second != NOWHERE for at in mechanism.connections):
         raise ArgumentError(
-            "a gear's mesh is that of a start, so a mechanism with gears has no assemblies of its "
-            "own; leave the gears out, or use close"
+            "how gears mesh depends on the start, so the assemblies of a mechanism with gears are "
+            "not determined; leave the gears out, or use close"
         )
 
 

@@ -54,15 +54,15 @@ class Mechanism(TreeKinematics):
     sites : mapping of str to Site, optional
         Named frames of links, which have no effect on the motion: `(link, pose, point)` of each.
         `from_mjcf` and `from_urdf` read them.
-    ground_motion : motion of a ground, or callable, optional
+    ground_motion : ground motion or callable, optional
         Displacement of the ground: made by a function decorated by `lierb.ground_motion`, or a
-        function of t, s, that returns (3,) m. All results are relative to the moving ground.
+        function of t in s that returns (3,) in m. All results are relative to the moving ground.
         Default: the ground is at rest.
 
     Raises
     ------
     ArgumentError
-        The links do not form a tree, or no link has a name that is referred to.
+        The links do not form a tree, or a link that is named does not exist.
     ForceError
         A force acts about a joint axis that does not exist, or a function uses states or controls
         that the mechanism does not have.
@@ -242,22 +242,22 @@ class Mechanism(TreeKinematics):
 
         Every step is the motion of least kinetic energy that cancels the residuals, as in
         `lierb.Problem.close`; rows may be redundant. A pose that is already closed to rounding is
-        returned unchanged. Redundant rows, as of a planar loop, fit each other only as well as the
-        numbers of joints and lengths do: an error that `lierb.integrate` accepts at a start may
-        remain.
+        returned unchanged. Redundant rows, such as those of a planar loop, agree only to the
+        accuracy of the given points and axes: they may keep an error that `lierb.integrate` accepts
+        at a start.
 
         Parameters
         ----------
         pose : dict
             Poses of all links, (4, 4) or (n, 4, 4).
         hold : dict, str or iterable of str, optional
-            Coordinates that joints shall have, by link, as for `pose`: numbers or arrays of n; or
-            names of links whose joints keep the coordinates that they have in `pose`. They
-            go there from those of `pose` in steps of at most 0.1 rad, or a tenth of the mechanism's
-            size, each closed from the one before: the assembly stays on its branch. Angles go the
-            shorter way, unless the mechanism has gears or screws, for which whole turns count. A
-            motor of given position is ignored at a joint in `hold`. Several coordinates change
-            together, in equal steps: the poses between must close, too.
+            Prescribed coordinates of joints, by link, as for `Mechanism.pose`: numbers or arrays of
+            n; or names of links whose joints keep the coordinates that they have in `pose`. The
+            coordinates change from those of `pose` in steps of at most 0.1 rad, or a tenth of the
+            mechanism's size, and each step is closed from the one before: so the assembly stays on
+            its branch. Several coordinates change together, in equal steps; the poses in between
+            must close, too. Angles go the shorter way, unless the mechanism has gears or screws,
+            for which whole turns count. A motor of given position is ignored at a joint in `hold`.
         t0 : float, optional
             Time at which the positions of motors are evaluated, s.
 
@@ -272,7 +272,7 @@ class Mechanism(TreeKinematics):
             The joint of a link in `hold` has no coordinates.
         PoseError
             The iteration does not converge; the message has the largest residual and its joint. Or
-            the position that a motor prescribes is not finite.
+            a motor prescribes a position that is not finite.
 
         Examples
         --------
@@ -309,17 +309,18 @@ class Mechanism(TreeKinematics):
     ) -> dict[str, Array]:
         """Search for all poses that close the loops at given coordinates of joints.
 
-        All other joints start at random coordinates, the same ones in every call, and each start is
-        closed as by `close`. Poses that agree to 1e-5 are one. This is a search, which may miss
-        assemblies that few starts lead to: more starts find more of them. `close` follows a branch
-        from its pose to other coordinates.
+        All other joints start at random coordinates, which are the same in every call, and each
+        start is closed as by `close`. Poses that agree to 1e-5 count as one assembly. The search
+        may miss assemblies to which few starts lead; more starts find more of them. To follow one
+        assembly to other coordinates, use `close`.
 
         Parameters
         ----------
         hold : dict, optional
-            Coordinates of joints by link, as in `close`, of one member. All freedoms must be held.
+            Coordinates of joints by link, as in `close`, of one mechanism. They must leave no
+            freedom.
         pose : dict, optional
-            Poses of all links, from which the order counts. Default: all coordinates 0.
+            Poses of all links, from which distances are measured. Default: all coordinates 0.
         starts : int, optional
             Number of random starts.
         t0 : float, optional
@@ -335,7 +336,7 @@ class Mechanism(TreeKinematics):
         ArgumentError
             The mechanism is a batch or has gears, or the links can still move.
         PoseError
-            No start comes to close.
+            No start leads to a closed pose.
 
         Examples
         --------
@@ -371,10 +372,10 @@ class Mechanism(TreeKinematics):
         hold: Hold | None = None,
         t0: float = 0.0,
     ) -> dict[str, Array]:
-        """Return the nearest twists that satisfy all joints and loops, in kinetic energy.
+        """Return the nearest twists that satisfy joints and loops, in the kinetic-energy metric.
 
-        They change given rates too: if only the crank of a four-bar has a rate, the links' masses
-        decide which rate it keeps. With `hold` the rates of joints are as given.
+        The projection changes given rates too: if only the crank of a four-bar has a rate, its
+        projected rate depends on the links' masses. `hold` fixes rates of joints.
 
         Parameters
         ----------
@@ -383,8 +384,8 @@ class Mechanism(TreeKinematics):
         pose : dict, optional
             Poses of all links. Default: all coordinates 0.
         hold : dict, str or iterable of str, optional
-            Rates that joints shall have, by link, as for `twist`: numbers or arrays of n; or names
-            of links whose joints keep the rates that they have in `twist`.
+            Prescribed rates of joints, by link, as for `Mechanism.twist`: numbers or arrays of n;
+            or names of links whose joints keep the rates that they have in `twist`.
         t0 : float, optional
             Time at which the speeds and positions of motors are evaluated, s.
 

@@ -46,9 +46,9 @@ def require_regular(mechanism: TreeKinematics, names: list[str]) -> None:
         sizes = [x if name in names else 0.0 for x, (name, _) in zip(motion / scale, moves)]
         name, _ = moves[int(np.argmax(sizes))]
         raise ArgumentError(
-            f"body {name} has no mass or no inertia, and can move without what hangs on it, or turn"
-            " about an axis through its point mass: the mass matrix is singular; give it one, or "
-            "weld it to another"
+            f"body {name} has no mass or no inertia, and can move without the links that it "
+            "carries, or turn about an axis through its point mass: the mass matrix is singular; "
+            "give the body mass and inertia, or weld it to another"
         )
 
 

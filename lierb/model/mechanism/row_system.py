@@ -203,8 +203,8 @@ def wrong_way(s: ConnectionState, count: int) -> Any:
 def reversed_joint(label: str, name: str, turned: str = "a link") -> str:
     """Message for a joint that is half a turn off.   turned : what can be turned."""
     return (
-        f"{label} holds {name} the wrong way round, half a turn off, which no row sees; turn "
-        f"{turned} or one of the joint's frames by 180°"
+        f"{label} holds {name} the wrong way round, half a turn off, where its rows are zero too; "
+        f"turn {turned} or one of the joint's frames by 180°"
     )
 
 

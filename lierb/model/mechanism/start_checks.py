@@ -39,7 +39,7 @@ from lierb.model.mechanism.row_system import (
 from lierb.model.unfit import unfit_constraint, unfit_rate
 from lierb.support.arrays import Array, as_poses, components, first_bad, items_at, pose_components
 
-EVEN_SO = '(check="warn" integrates it all the same, but not on "reduced")'
+EVEN_SO = '(check="warn" integrates from it anyway, but not on "reduced")'
 
 
 class Start(NamedTuple):

@@ -82,7 +82,7 @@ class Tree(Model):
                 if what == owners[name] == "link":
                     hint = "; a body with two parents is one Link, and a Loop for its other joint"
                 raise ArgumentError(
-                    f"two are named {each.name}, a {owners[name]} and a {what}; give every "
+                    f"two parts are named {each.name}, a {owners[name]} and a {what}; give every "
                     f"link and every loop its own name{hint}"
                 )
             owners[name] = what

@@ -247,7 +247,7 @@ def _model_of(name: str, result: Any, given: Model | None) -> Model:
     if not isinstance(known, Model):
         label = f"{name}: " if name else ""
         raise ArgumentError(
-            f"{label}the result has lost its problem, as one that was pickled has; give problem="
+            f"{label}the result has lost its problem, as by pickling; give problem="
         )
     count = result.summary.num_rows
     batch = known.batch_size() or 1

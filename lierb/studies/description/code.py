@@ -88,7 +88,7 @@ def _text_of(folder: Path, file: str) -> str:
                 "put the file itself there"
             )
         if path.exists() and not path.is_file():
-            raise StudyError(f"{path} is no file")
+            raise StudyError(f"{path} is not a file")
         with path.open("rb") as opened:
             content = opened.read(LONGEST_STUDY + 1)
     except FileNotFoundError:
@@ -107,7 +107,7 @@ def _text_of(folder: Path, file: str) -> str:
     try:
         text = content.decode()
     except UnicodeDecodeError as error:
-        raise StudyError(f"{path} is no utf-8 ({error.reason}); save it as UTF-8") from None
+        raise StudyError(f"{path} is not UTF-8 ({error.reason}); save it as UTF-8") from None
     _require_alone(_parsed(file, text), file, folder)
     return text
 

@@ -335,8 +335,8 @@ def _element(element: Element, code: dict[str, str]) -> dict[str, Any]:
     if element.made_by is None:
         if any(isinstance(f, Function) for f in element.kind.functions):
             raise StudyError(
-                f"{element.name} is made of a function of time, which no file can name; write it "
-                "with @lierb.wrench in a file"
+                f"{element.name} is made of a function of time, which a study file cannot name; "
+                "write it with @lierb.wrench in a Python file"
             )
         assert isinstance(element.kind, forces.BuiltIn)
         kind = name = element.name

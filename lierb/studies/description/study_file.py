@@ -55,7 +55,7 @@ def read(path: Path) -> str:
     except UnicodeDecodeError as error:
         line = content.count(b"\n", 0, error.start) + 1
         raise StudyError(
-            f"{path.name}:{line}: byte {error.start} is no utf-8 ({error.reason}); "
+            f"{path.name}:{line}: byte {error.start} is not UTF-8 ({error.reason}); "
             "save the file as UTF-8"
         ) from None
 

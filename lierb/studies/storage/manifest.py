@@ -48,7 +48,7 @@ def read_manifest(path: Path) -> Manifest:
     Raises StudyError for a file that is missing, edited, damaged, or of another format.
     """
     if path.exists() and not path.is_file():  # reading a pipe would block
-        raise StudyError(f"{path} is no file; choose another folder for the results")
+        raise StudyError(f"{path} is not a file; choose another folder for the results")
     try:
         manifest = json.loads(path.read_text(encoding="utf-8"))
         _require_format(path, manifest)
