@@ -103,9 +103,15 @@ class Measurements:
         return sum(int(column.present.sum()) for column in self.columns)
 
     def norms(self, count: int) -> Array:
-        """Return the root of the sum of all squares of `count` trajectories after the others."""
+        """Return the norms of the weighted data of experiments with `count` trajectories each."""
         squares = np.sum([column.squares for column in self.columns], axis=0)
         return np.asarray(np.sqrt(squares.reshape(-1, count).sum(axis=1)))
+
+    def responses(self, count: int, chi2: Any) -> Array:
+        """Return `most` of `Unknowns.bound_sizes`.   chi2 : of the experiments at the guess."""
+        samples = np.sum([column.present.sum((0, 2)) for column in self.columns], axis=0)
+        noise = self.has_sigma * np.sqrt(samples.reshape(-1, count).sum(axis=1))
+        return np.asarray(np.maximum(np.maximum(self.norms(count), noise), np.sqrt(chi2)))
 
 
 def measurements(model: Model, data: Any, sigma: Any) -> Measurements:

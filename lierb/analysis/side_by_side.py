@@ -55,7 +55,7 @@ class Experiments:
         unknowns = Unknowns(variation, count, experiments=self.total)
         self.size, self.shared, self.follow = unknowns.size, unknowns.shared, unknowns.follow
         self.sizes, self.bases = unknowns.sizes, unknowns.bases  # of the guess
-        self.norms = data.norms(count)  # [experiment]
+        self.responses = data.responses(count, 0.0)  # [experiment]
         present = [column.present.sum((0, 2)) for column in data.columns]
         self.residuals = np.sum(present, axis=0).reshape(-1, count).sum(-1)  # [experiment]
         self.most_steps: int | None = None
@@ -174,7 +174,9 @@ class Experiments:
             self.most_steps = self.runs.most_steps(result.summary)
         factors, is_whole = self._factors(members, result, unknowns)
         if not steps.any():
-            unknowns.bound_sizes(factors[..., :-1], self.norms[members])
+            residuals = np.linalg.norm(factors[..., -1], axis=-1)
+            most = np.maximum(self.responses[members], residuals)
+            unknowns.bound_sizes(factors[..., :-1], most)
             for own, bounded in zip(self.sizes, unknowns.sizes, strict=True):
                 own[members] = bounded
         chi2 = np.where(is_whole, np.sum(factors[..., -1] ** 2, axis=-1), np.inf)

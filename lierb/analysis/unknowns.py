@@ -287,7 +287,9 @@ class Unknowns:
 
         A change by its size changes the residuals by `most` at most.
 
-        jacobian : of the weighted residuals by the unknowns.   most : norm of the weighted data.
+        jacobian : of the weighted residuals by the unknowns.   most : the largest of the norms of
+        the weighted data, of the residuals at the guess, and of noise of a given standard
+        deviation.
         """
         norms = np.linalg.norm(jacobian, axis=-2)
         largest = np.asarray(most)[..., None] / np.where(norms > 0.0, norms, np.inf)

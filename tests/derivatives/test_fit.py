@@ -638,3 +638,16 @@ def test_coordinates_of_trajectories_with_joints_of_their_own(fit):
     by_angle = fit(held(0.01), {"t": t, "coordinates": angles}, names, **run)
     for found in (by_rate, by_angle):
         np.testing.assert_allclose(np.ravel(found.estimate[names]), 0.02, rtol=1e-8)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("level", [1e-17, 1e-14, 1e-10, 1e-4])
+def test_data_may_be_small_beside_the_misfit_of_the_guess(level):
+    """The first step was as short as the data are small: the fit ended at the guess."""
+    ball = lierb.Problem(lierb.Body(1.0, (0.1, 0.2, 0.3)), lierb.joints.free())
+    data = {"t": np.linspace(0.1, 1.0, 10)}
+    data["twist"] = level * np.random.default_rng(0).normal(size=(10, 1, 6))
+    for call in (lierb.fit, lierb.fits):
+        fit = call(ball, data, "twist0", twist0=(0.0, 0.5, 0.0, -0.1, 0.0, 0.0), dt=0.05)
+        assert np.all(fit.converged)
+        assert np.abs(fit.estimate["twist0"]).max() < 2.0 * level + 1e-12

@@ -9,6 +9,17 @@ from lierb.errors import ForceError, UnknownNameError
 BY = "shaking.amplitude"
 
 
+def swung(axis, frequency, **defaults):
+    """Make one motion of several, by the same code."""
+
+    @lierb.ground_motion(**defaults)
+    def swinging(t, params):
+        size = params.size * np.sin(frequency * t)
+        return tuple(size if i == axis else 0.0 * t for i in range(3))
+
+    return swinging
+
+
 @lierb.ground_motion(amplitude=0.05)
 def shaking(t, params):
     return params.amplitude * np.sin(5.0 * t), 0.0, 0.0
@@ -77,4 +88,32 @@ def test_a_part_of_the_motion_has_no_name_and_no_numbers_of_its_own():
         lierb.integrate(made, dt=0.01, t_end=0.1, with_respect_to="upper.shaking.amplitude")
     parts = [shaking(amplitude=size).on(link) for link, size in (("upper", 0.1), ("lower", 0.2))]
     with pytest.raises(ForceError, match=r"amplitude of shaking differs for lower and upper"):
+        lierb.Mechanism(made.links, forces=parts)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("order", [(0, 1), (1, 0)])
+def test_motions_of_the_same_code_are_different_functions(order):
+    """The second motion had the acceleration of the first."""
+
+    @lierb.ground_motion
+    def both(t):
+        return 0.05 * np.sin(7.0 * t), 0.0, 0.04 * np.sin(9.0 * t)
+
+    motions = swung(0, 7.0, size=0.0)(size=0.05), swung(2, 9.0, size=0.0)(size=0.04)
+    pin = lierb.joints.revolute(axis=(0.0, 1.0, 0.0), body_point=(0.0, 0.0, 0.2))
+    rod, run = lierb.Body(1.0, (0.01, 0.02, 0.02)), {"pose0": pin.pose([0.3]), "dt": 5e-3}
+    gravity = (0.0, 0.0, -9.81)
+    together = lierb.Problem(rod, pin, gravity, ground_motion=both())
+    apart = lierb.Problem(rod, pin, gravity, [motions[i] for i in order])
+    rates = [lierb.integrate(x, **run, t_end=1.0).omega[0, 1] for x in (together, apart)]
+    assert rates[1] == pytest.approx(rates[0], rel=1e-12)
+
+
+def test_motions_of_the_links_are_in_one_order():
+    made, along = pendulum(0.05), (swung(0, 7.0, size=0.05)(), swung(2, 9.0, size=0.05)())
+    parts = [
+        along[i].on(link) for link, i in (("upper", 0), ("upper", 1), ("lower", 1), ("lower", 0))
+    ]
+    with pytest.raises(ForceError, match="motions of all links in the same order"):
         lierb.Mechanism(made.links, forces=parts)

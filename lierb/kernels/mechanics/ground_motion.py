@@ -58,6 +58,8 @@ class GroundMotion(Element):
             moved = self.function(parameters, second(time, 1.0, ZERO))
             return tuple(0.0 * time + slope_of(slope_of(s)) for s in moved)
 
+        # the name of the code, which differs from motion to motion
+        formula.__qualname__ = f"_second_slope.{self.function.fingerprint}.{self.shapes}"
         return apart(3)(formula)
 
     def felt(self, placed: Any, x: Motion) -> Vec:

@@ -21,7 +21,9 @@ from lierb.support.arrays import Array, first_bad
 
 __all__ = ["joint_limit", "slide_limit"]
 
-ON_STOP = 1e-15  # distance from a stop that is rounding, relative to its coordinate
+# Distance from a stop that is rounding: of a coordinate, which is the difference of larger numbers,
+# and of an angle in (−π, π] from the middle of the stops.
+OF_COORDINATE, OF_ANGLE = 1e-12, 1e-14
 
 
 class JointLimit(AtJoint):
@@ -52,7 +54,9 @@ class JointLimit(AtJoint):
         """
         middle, low, high = self.stops(placed)
         place, rate, damping = self.place(x, middle), self.rate(x), placed[3]
-        above, below, near = place - high, place - low, ON_STOP * absolute(place)
+        above, below, near = place - high, place - low, OF_COORDINATE * absolute(place)
+        if isfinite(self.whole_turn):
+            near = OF_ANGLE * (PI + absolute(place) + absolute(middle))
         is_above = (above > near) | ((above >= -near) & (rate >= 0.0))
         is_below = (below < -near) | ((below <= near) & (rate <= 0.0))
         beyond = where(is_above, above, where(is_below, below, 0.0))

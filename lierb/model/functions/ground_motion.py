@@ -137,10 +137,14 @@ def require_one_ground(model: Any) -> None:
 
 
 def _require_same(force: MovingGround, first: MovingGround) -> None:
-    """Raise ForceError for parts of a motion, on two links, with different numbers."""
+    """Raise ForceError for parts of a motion, on two links, that differ."""
+    if force.kind != first.kind:
+        raise ForceError(
+            f"the ground moves for {force.at[0]} by {force.name} where it moves for {first.at[0]} "
+            f"by {first.name}; give the motions of all links in the same order"
+        )
     for name, array in force.parameters.items():
-        other = first.parameters.get(name)
-        if other is None or not np.array_equal(array, other):
+        if not np.array_equal(array, first.parameters[name]):
             raise ForceError(
                 f"{name} of {force.name} differs for {force.at[0]} and {first.at[0]}; the ground "
                 "has the same motion for all links"
