@@ -9,7 +9,6 @@ infer types in a formula.
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import lru_cache
 from typing import Any
 
 import numba
@@ -25,7 +24,6 @@ from lierb.kernels.numbers.zero import is_zero
 from lierb.kernels.tracing.arrays import ArrayRef, Index
 from lierb.kernels.tracing.lanes import DOUBLE, Lane, Predicate, Trace
 
-NOTHING = ir.LiteralStructType(())  # LLVM's type of a number without data
 ITEMS = (types.float64, types.int64)  # of arrays that formulas take
 
 
@@ -51,10 +49,7 @@ class ConstantType(types.Type):
         super().__init__(name=f"Constant<{number!r}>")
 
 
-@register_model(ConstantType)
-class _ConstantModel(models.PrimitiveModel):
-    def __init__(self, manager: Any, fe_type: ConstantType) -> None:
-        super().__init__(manager, fe_type, NOTHING)
+register_model(ConstantType)(models.OpaqueModel)
 
 
 def kernel(formula: Callable[..., Any], numbers_only: bool = False) -> Callable[..., Any]:
@@ -135,8 +130,7 @@ def _to_trace(context: Any, trace: Trace, ty: types.Type, value: Any) -> Any:
         return ty.number
     if isinstance(ty, types.BaseTuple):
         members = [
-            _to_trace(context, trace, t, builder.extract_value(value, i) if _has_data(t) else None)
-            for i, t in enumerate(ty)
+            _to_trace(context, trace, t, builder.extract_value(value, i)) for i, t in enumerate(ty)
         ]
         is_named = isinstance(ty, types.BaseNamedTuple)
         return ty.instance_class(*members) if is_named else tuple(members)
@@ -151,14 +145,6 @@ def _to_trace(context: Any, trace: Trace, ty: types.Type, value: Any) -> Any:
     raise numba.errors.TypingError(
         f"lierb's formulas take numbers, tuples of numbers and arrays, not {ty}"
     )
-
-
-@lru_cache(1024)
-def _has_data(ty: types.Type) -> bool:
-    """Return whether a type has data: constants and tags have none."""
-    if isinstance(ty, types.BaseTuple):
-        return any(map(_has_data, ty))
-    return not isinstance(ty, (ConstantType, TagType))
 
 
 def _members(result: Any) -> tuple[Any, ...]:
@@ -183,14 +169,10 @@ def _type_of_trace(result: Any) -> types.Type:
 
 
 def _from_trace(context: Any, builder: ir.IRBuilder, ty: types.Type, result: Any) -> Any:
-    if result is None:
+    if result is None or isinstance(ty, ConstantType):
         return context.get_dummy_value()
-    if isinstance(ty, ConstantType):
-        return ir.Constant(NOTHING, ir.Undefined)
     if isinstance(ty, types.BaseTuple):
-        whole = ir.Constant(context.get_value_type(ty), ir.Undefined)
-        for i, (t, x) in enumerate(zip(ty, _members(result), strict=True)):
-            if _has_data(t):
-                whole = builder.insert_value(whole, _from_trace(context, builder, t, x), i)
-        return whole
+        pairs = zip(ty, _members(result), strict=True)
+        members = [_from_trace(context, builder, t, x) for t, x in pairs]
+        return context.make_tuple(builder, ty, members)
     return result.value
