@@ -107,11 +107,15 @@ class Measurements:
         squares = np.sum([column.squares for column in self.columns], axis=0)
         return np.asarray(np.sqrt(squares.reshape(-1, count).sum(axis=1)))
 
-    def responses(self, count: int, chi2: Any) -> Array:
-        """Return `most` of `Unknowns.bound_sizes`.   chi2 : of the experiments at the guess."""
-        samples = np.sum([column.present.sum((0, 2)) for column in self.columns], axis=0)
-        noise = self.has_sigma * np.sqrt(samples.reshape(-1, count).sum(axis=1))
-        return np.asarray(np.maximum(np.maximum(self.norms(count), noise), np.sqrt(chi2)))
+    def samples(self, count: int) -> NDArray[np.int64]:
+        """Return the number of residuals of experiments with `count` trajectories each."""
+        present = np.sum([column.present.sum((0, 2)) for column in self.columns], axis=0)
+        return np.asarray(present.reshape(-1, count).sum(axis=1))
+
+    def responses(self, count: int) -> Array:
+        """Return the norms of the weighted data, or of noise with a given sigma if larger."""
+        noise = self.has_sigma * np.sqrt(self.samples(count))
+        return np.asarray(np.maximum(self.norms(count), noise))
 
 
 def measurements(model: Model, data: Any, sigma: Any) -> Measurements:

@@ -55,9 +55,7 @@ class Experiments:
         unknowns = Unknowns(variation, count, experiments=self.total)
         self.size, self.shared, self.follow = unknowns.size, unknowns.shared, unknowns.follow
         self.sizes, self.bases = unknowns.sizes, unknowns.bases  # of the guess
-        self.responses = data.responses(count, 0.0)  # [experiment]
-        present = [column.present.sum((0, 2)) for column in data.columns]
-        self.residuals = np.sum(present, axis=0).reshape(-1, count).sum(-1)  # [experiment]
+        self.responses, self.residuals = data.responses(count), data.samples(count)
         self.most_steps: int | None = None
 
     # ---- points --------------------------------------------------------------------------------
@@ -68,7 +66,7 @@ class Experiments:
         for p in self.parameters:
             if not p.is_start:
                 shape = item_shape(self.model.inputs[p.fields[0]], p)
-                for field in (p.fields[0], *p.copies):
+                for field in p.own_fields:
                     state[NUMBER + field] = self._grouped(base.model.inputs[field], shape)
         state |= {POSE + k: self._grouped(x, (4, 4)) for k, x in base.poses.items()}
         return state | {TWIST + k: self._grouped(x, (6,)) for k, x in base.twists.items()}
@@ -173,13 +171,13 @@ class Experiments:
         if self.most_steps is None:
             self.most_steps = self.runs.most_steps(result.summary)
         factors, is_whole = self._factors(members, result, unknowns)
+        squares = np.sum(factors[..., -1] ** 2, axis=-1)
         if not steps.any():
-            residuals = np.linalg.norm(factors[..., -1], axis=-1)
-            most = np.maximum(self.responses[members], residuals)
+            most = np.maximum(self.responses[members], np.sqrt(squares))
             unknowns.bound_sizes(factors[..., :-1], most)
             for own, bounded in zip(self.sizes, unknowns.sizes, strict=True):
                 own[members] = bounded
-        chi2 = np.where(is_whole, np.sum(factors[..., -1] ** 2, axis=-1), np.inf)
+        chi2 = np.where(is_whole, squares, np.inf)
         return self.point_of(variation.base) | {
             "factor": factors, "chi2": chi2, "bases": unknowns.bases,
             "slope": unknowns.slope(unknowns.base), "sizes": unknowns.unknown_sizes,

@@ -47,7 +47,6 @@ class Parameter(NamedTuple):
     the start, directions in the body's axes by field.
     units : changes of the numbers of the first field along each direction, (directions, numbers);
     None for a start.
-    copies : further fields that hold its numbers.
     follows : what of the start follows: "" for nothing, "pose" and "twist" for the links whose
     start it is not, "joint" for a parameter of joints or constraints.
     """
@@ -59,7 +58,6 @@ class Parameter(NamedTuple):
     seeds: Callable[[Start], Seeds]
     units: Array | None = None
     follows: str = ""
-    copies: tuple[str, ...] = ()
 
     @property
     def is_start(self) -> bool:
@@ -77,6 +75,11 @@ class Parameter(NamedTuple):
         if self.units is None or other.units is None:
             return False
         return self.fields[0] == other.fields[0] and np.array_equal(self.units, other.units)
+
+    @property
+    def own_fields(self) -> tuple[str, ...]:
+        """Return the fields that hold its numbers, each all of them; not for a start."""
+        return self.fields[:1] if self.moves_start else self.fields
 
     @property
     def moves_start(self) -> bool:
@@ -191,9 +194,7 @@ def _plain(name: str, place: Place, units: Array) -> Parameter:
     """Return a parameter on which the start does not depend.   units : (directions, numbers)."""
     fields = place.field, *place.copies
     seeds = dict.fromkeys(fields, units[:, None])
-    return Parameter(
-        name, len(units), place.unit, fields, lambda start: seeds, units, copies=place.copies
-    )
+    return Parameter(name, len(units), place.unit, fields, lambda start: seeds, units)
 
 
 def _units(place: Place) -> Array:

@@ -94,7 +94,7 @@ class Variation:
                 before = numbers.get(p.fields[0], own)  # several points may share a frame
                 values = self.values[p.name] + changes[p.name]
                 changed = _replaced(before, item_shape(own, p), p, values)
-                numbers |= dict.fromkeys((p.fields[0], *p.copies), changed)
+                numbers |= dict.fromkeys(p.own_fields, changed)
         model = self.model.renumbered(numbers) if numbers else self.model
         poses, twists = self._moved_start(model, changes)
         return Varied(model, poses, twists)

@@ -10,7 +10,7 @@ from lierb.kernels.groups.quaternion import Chart
 from lierb.kernels.mechanics.newton_euler import girth_of
 from lierb.kernels.mechanics.rows import AddedRow
 from lierb.kernels.mechanics.spatial import twist_at
-from lierb.kernels.mechanics.tree import GROUND, HERE, MASSLESS, Ends, TreeConstants, root_of
+from lierb.kernels.mechanics.tree import GROUND, HERE, MASSLESS, NONE, Ends, TreeConstants, root_of
 from lierb.kernels.numbers.vec import ZERO6, Vec, sub
 from lierb.kernels.systems.combine import NAN
 from lierb.kernels.systems.layout import Columns, with_end
@@ -73,22 +73,27 @@ class TreeFormulation(Projection, TreeMeasures, CheckedStarts):
         ends += [Ends(HERE, HERE) if c.joint < 0 else ends[c.joint] for _, c in acting]
         return TreeConstants(
             nodes,
-            tuple(end._replace(elements=self._of_rows(i, placed)) for i, end in enumerate(ends)),
+            tuple(
+                end._replace(elements=tuple(x if i in own else () for i, x in enumerate(placed)))
+                if own
+                else end
+                for own, end in zip(self._read_by_rows, ends, strict=True)
+            ),
             read["gravity"],
             placed,
             girth=girth_of(*((n.rigid.mass, n.inertia) for n in nodes)),
         )
 
-    def _of_rows(self, number: int, placed: tuple[Any, ...]) -> tuple[Any, ...]:
-        """Return the parameters of elements that the rows of a connection read; () for others."""
-        places = {
-            row.place
-            for i, connection in enumerate(self.plan.connections)
-            if number in (i, connection.second)
-            for row in connection.rows
-            if isinstance(row, AddedRow)
-        }
-        return tuple(x if i in places else () for i, x in enumerate(placed)) if places else ()
+    @cached_property
+    def _read_by_rows(self) -> tuple[set[int], ...]:
+        """Indices of the elements whose parameters the rows of each connection read."""
+        read: tuple[set[int], ...] = tuple(set() for _ in self.plan.connections)
+        for i, connection in enumerate(self.plan.connections):
+            places = {row.place for row in connection.rows if isinstance(row, AddedRow)}
+            for number in (i, connection.second):
+                if number != NONE:
+                    read[number].update(places)
+        return read
 
     def start(self, body: TreeConstants, placed: tuple[()], numbers: list[Any]) -> State:
         """Return the state; components off a joint's subgroup are dropped."""

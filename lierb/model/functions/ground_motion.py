@@ -124,9 +124,11 @@ def require_one_ground(model: Any) -> None:
             f"{moving[0].name} moves the ground for {', '.join(sorted({*links}))} only; give "
             f"ground_motion={moving[0].name}(…) to the model, which moves it for all links"
         )
-    of_link = {link: [x for x in moving if x.at == moving[links.index(link)].at] for link in links}
-    for own in of_link.values():
-        for force, first in zip(own, of_link[links[0]], strict=True):
+    of_first, *of_others = (
+        [x for x in moving if x.at == at] for at in {x.at: None for x in moving}
+    )
+    for own in of_others:
+        for force, first in zip(own, of_first, strict=True):
             _require_same(force, first)
     for force in model.forces:
         if force.kind.adds_inertia:

@@ -241,16 +241,16 @@ def source_of(decorated: Decorated) -> tuple[str, str, str]:
     if code.co_filename in _texts:
         return *_texts[code.co_filename], function.__name__
     path = Path(code.co_filename)
-    for name, form in ((path.name, FILE), (function.__name__, NAME)):
-        if path.is_file() and not re.fullmatch(form, name):
-            raise StudyError(
-                f"{function.__name__} is defined in {brief(path.name)}; a study names functions "
-                f"as {EXPECTED}; rename {name}"
-            )
     if not path.is_file():
         raise StudyError(
             f"{function.__name__} is defined in {brief(code.co_filename)}, from where it cannot be "
             "loaded again; write it in a file NAME.py, and import it from there (in a notebook: "
             "%%writefile NAME.py)"
         )
+    for name, form in ((path.name, FILE), (function.__name__, NAME)):
+        if not re.fullmatch(form, name):
+            raise StudyError(
+                f"{function.__name__} is defined in {brief(path.name)}; a study names functions "
+                f"as {EXPECTED}; rename {name}"
+            )
     return path.name, _text_of(path.parent, path.name), function.__name__

@@ -140,7 +140,7 @@ class AlongParameters:
             field: name
             for name, own in ordered
             if not by_name[own].is_start
-            for field in (by_name[own].fields[0], *by_name[own].copies)
+            for field in by_name[own].own_fields
         }
         for field, link in zip(model.fields, model.link_names, strict=True):
             prefix = f"{link}." if link else ""
