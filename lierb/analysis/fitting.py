@@ -208,8 +208,8 @@ def _solved(variation: Variation, data: Measurements, runs: Runs, bounds: Any, m
     if data.size < task.unknowns.size:
         samples = few_samples(data.size, task.unknowns.size)
         raise ArgumentError(f"data has {samples}; expected as many samples or more")
-    most = max(float(data.responses(data.count)[0]), task.chi2**0.5)
-    task.unknowns.bound_sizes(task.slope, np.array(most))
+    response = np.maximum(data.responses(data.count)[0], task.chi2**0.5)
+    task.unknowns.bound_sizes(task.slope, response)
     for _ in range(ROUNDS):
         before = task.unknowns
         x, solution, sides = _minimised(task, bounds, max(most - evaluations, 1))

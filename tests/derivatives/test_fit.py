@@ -92,6 +92,16 @@ def test_fit_recovers_the_parameters_of_exact_data():
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("sigma", [1e-6, 1e6])
+def test_a_fit_ends_after_the_evaluations_that_were_allowed(sigma):
+    given = data_of(swung(), "omega")
+    fit = fitted(pendulum(0.3, 0.5), given, [DAMPING], sigma={"omega": sigma}, max_evaluations=3)
+    assert fit.evaluations == 3
+    assert not fit.converged
+    assert fit.status.startswith("max_evaluations is reached")
+
+
+@pytest.mark.slow
 def test_a_fit_that_cannot_go_on_has_not_converged(monkeypatch):
     """SciPy reports small steps as convergence, whatever the gradient."""
 
