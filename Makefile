@@ -41,13 +41,13 @@ check-docs:  ## build the site, follow README and CONTRIBUTING, in a clone with 
 picture: $(VENV)/.docs  ## draw the picture of the front page again
 	$(BIN)/python docs/gallery/heavy_top.py docs/_static/heavy_top.png
 
-test: $(VENV)/.dev  ## run the tests, on up to four cores
+test: $(VENV)/.dev  ## run the tests, on up to four cores, each for 10 minutes at most
 	$(BIN)/python -m compileall -q lierb  # once, where PYTHONDONTWRITEBYTECODE is set
-	$(BIN)/python -m pytest -n auto --maxprocesses 4 $(ARGS)
+	$(BIN)/python -m pytest -n auto --maxprocesses 4 --timeout=600 $(ARGS)
 
 test-oldest: $(OLDEST)/.test  ## run the tests with every dependency at its lower bound
 	NUMBA_CACHE_DIR=$(abspath $(OLDEST))/cache \
-		$(OLDEST)/bin/python -m pytest -n auto --maxprocesses 4 $(ARGS)
+		$(OLDEST)/bin/python -m pytest -n auto --maxprocesses 4 --timeout=600 $(ARGS)
 
 lint: $(VENV)/.dev  ## ruff, mypy, the import contracts and the spelling
 	$(BIN)/ruff check .
