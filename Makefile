@@ -13,6 +13,8 @@ PYTHON ?= $(shell for python in $(CANDIDATES); do \
 VENV ?= .venv
 OLDEST := $(VENV)-oldest
 BIN := $(VENV)/bin
+# A test that does not end fails after 10 minutes, and the run with it.
+TIME_LIMIT := -o faulthandler_timeout=600 -o faulthandler_exit_on_timeout=true --max-worker-restart=0
 ARGS ?=
 MECHANISMS ?=
 
@@ -43,11 +45,11 @@ picture: $(VENV)/.docs  ## draw the picture of the front page again
 
 test: $(VENV)/.dev  ## run the tests, on up to four cores
 	$(BIN)/python -m compileall -q lierb  # once, where PYTHONDONTWRITEBYTECODE is set
-	$(BIN)/python -m pytest -n auto --maxprocesses 4 $(ARGS)
+	$(BIN)/python -m pytest -n auto --maxprocesses 4 $(TIME_LIMIT) $(ARGS)
 
 test-oldest: $(OLDEST)/.test  ## run the tests with every dependency at its lower bound
 	NUMBA_CACHE_DIR=$(abspath $(OLDEST))/cache \
-		$(OLDEST)/bin/python -m pytest -n auto --maxprocesses 4 $(ARGS)
+		$(OLDEST)/bin/python -m pytest -n auto --maxprocesses 4 $(TIME_LIMIT) $(ARGS)
 
 lint: $(VENV)/.dev  ## ruff, mypy, the import contracts and the spelling
 	$(BIN)/ruff check .
