@@ -97,7 +97,7 @@ def places_of(model: Any) -> dict[str, Place]:
             if own in places:
                 raise ArgumentError(
                     f"{own} is a parameter of {element.name}, and a number of the body or joint; "
-                    f'give the element another name: {element.name}(…).named("…")'
+                    "rename the function or its parameter"
                 )
             places[own] = place
             if isinstance(element, MovingGround):
