@@ -179,7 +179,7 @@ def test_a_parameter_that_would_take_the_name_of_the_bodys_is_refused():
         return np.zeros(3), np.array((0.0, 0.0, params.mass))
 
     given = lierb.Problem(lierb.Body(1.0, (0.1, 0.1, 0.1)), lierb.joints.free(), forces=body())
-    with pytest.raises(ArgumentError, match=r"body.mass is a parameter of body, and a number"):
+    with pytest.raises(ArgumentError, match=r"body.mass is a .* rename the function or its"):
         lierb.integrate(given, dt=0.1, t_end=1.0, with_respect_to="body.mass")
 
 

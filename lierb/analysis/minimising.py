@@ -62,9 +62,12 @@ class Minimisation:
         """Iterate until all experiments have ended.
 
         most : number of experiments that run at a time; others take the places of those that end.
+            Guesses run without others: they have no step, and no bound on their number of steps.
         report : function of the number of experiments that have ended.
         """
         while (running := np.flatnonzero(self.codes == RUNNING)[:most]).size:
+            begun = self.iterations[running] >= 0
+            running = running if begun.all() else running[~begun]
             own = part_of(self.state, running)
             steps = steps_of(in_coordinates(own), own["scales"], self.radius[running])
             self.codes[running] = self._ends(running, own, steps)

@@ -178,7 +178,9 @@ class Coordinates(Quantity):
         if not self.is_batched:
             return self
         assert self.model is not None
-        return replace(self, model=self.model.part(which))
+        # the model may have numbers for the trajectories of one experiment, which hold for all
+        size = self.model.batch_size() or 1
+        return replace(self, model=self.model.part(which % size))
 
 
 def rotations(result: Result, link: str) -> Array:

@@ -83,41 +83,26 @@ def places_of(model: Any) -> dict[str, Place]:
             places[f"{prefix}.{name}"] = Place(f"{field}{name}", ((),), unit, binds=True)
         for frame in FRAMES:
             places[f"{prefix}.{frame}"] = Place(f"{field}{frame}", ((4, 4),), kind="frame")
-    grounds, of_grounds = _grounds(model), set[str]()
+    of_grounds = set[str]()
     for element, label, field in labelled(model):
         binds = bool(element.kind.rows)
         period = (EVERY,) if isinstance(element.kind, UserController) else ()
         for name, shape in element.kind.shapes.items():
             kind = "time" if name in (*element.kind.discontinuities, *period) else "number"
             place = Place(f"{field}{name}", (shape,), _unit(element, name), kind, binds)
-            own = f"{grounds.get(label, label)}.{element.short(name)}"
+            own = f"{label}.{element.short(name)}"
             if own in of_grounds:
                 places[own] = places[own]._replace(copies=(*places[own].copies, place.field))
                 continue
             if own in places:
                 raise ArgumentError(
                     f"{own} is a parameter of {element.name}, and a number of the body or joint; "
-                    f'give the element another name: {element.name}(…).named("…")'
+                    "rename the function or its parameter"
                 )
             places[own] = place
-            if label in grounds:
+            if isinstance(element, MovingGround):
                 of_grounds.add(own)
     return places
-
-
-def _grounds(model: Any) -> dict[str, str]:
-    """Return the names of the motions of a ground by those of their parts, forces on the links."""
-    by_link: dict[str, list[str]] = {}
-    for element, label, _ in labelled(model):
-        if isinstance(element, MovingGround) and element.at:
-            by_link.setdefault(element.at[0], []).append(label)
-    link, own = next(iter(by_link.items()), ("", []))
-    names = [label.removeprefix(f"{link}.") for label in own]
-    return {
-        label: name
-        for labels in by_link.values()
-        for label, name in zip(labels, names, strict=True)
-    }
 
 
 def _unit(element: Element, parameter: str) -> str:
@@ -132,13 +117,17 @@ def _unit(element: Element, parameter: str) -> str:
 def labelled(model: Any) -> Iterator[tuple[Element, str, str]]:
     """Yield each element with its name, that of its columns, and the prefix of its fields.
 
-    A number follows the name if several elements have it.
+    A number follows the name if several elements have it. The parts of a motion of the ground, on
+    all links, have one name.
     """
-    names = [".".join((*e.at[:1], e.name)) for e in model.elements]
-    of_each = zip(model.elements, names, model.element_fields, strict=True)
-    for i, (element, name, field) in enumerate(of_each):
-        number = f"_{names[:i].count(name) + 1}" if names.count(name) > 1 else ""
-        yield element, f"{name}{number}", field
+    named = [
+        (e.at, e.name) if isinstance(e, MovingGround) else ((), ".".join((*e.at[:1], e.name)))
+        for e in model.elements
+    ]
+    of_each = zip(model.elements, named, model.element_fields, strict=True)
+    for i, (element, own, field) in enumerate(of_each):
+        number = f"_{named[:i].count(own) + 1}" if named.count(own) > 1 else ""
+        yield element, f"{own[1]}{number}", field
 
 
 def by_field(model: Any, given: Mapping[str, Any]) -> dict[str, Array]:

@@ -167,8 +167,8 @@ def _unknown(model: Model, argument: str, name: str, known: dict[str, Parameter]
     place = places_of(model).get(name)
     if place is None or place.kind != "time":
         return unknown_name(argument, name, known)
-    owner = f".{name.rpartition('.')[0]}"
-    element = next(e.name for e, label, _ in labelled(model) if f".{label}".endswith(owner))
+    owner = name.rpartition(".")[0]
+    element = next(e.name for e, label, _ in labelled(model) if label == owner)
     return ArgumentError(
         f"{argument}={brief(name)} determines times at which {element} jumps, by which the motion "
         "is not differentiated; leave it out"

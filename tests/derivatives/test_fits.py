@@ -203,6 +203,24 @@ def test_a_start_and_a_point_of_the_joint_agree_with_single_fits():
     assert [str(each) for each in many.unidentifiable] == ["joint.body_point[1] has no effect"]
 
 
+@pytest.mark.slow
+def test_angles_of_bodies_that_differ_within_an_experiment():
+    """The joints of the second experiment were those behind the last of the bodies."""
+    points = np.array([(0.0, 0.0, 0.5), (0.0, 0.0, 0.3)])
+    hinge = lierb.joints.revolute(axis=(0.0, 1.0, 0.0), body_point=points)
+    two = lierb.Problem(BOX, hinge, (0.0, 0.0, -9.81), pendulum(0.1).forces)
+    options = {"pose0": hinge.pose([1.0]), "sigma": {"coordinates": 0.01}} | RUN
+    moved = lierb.integrate(
+        two, pose0=options["pose0"], t_end=5.0, save_at=TIMES, record="state", **RUN
+    )
+    angles = np.arctan2(-moved.rotation[..., 2, 0], moved.rotation[..., 0, 0])
+    noise = 0.01 * np.random.default_rng(5).standard_normal((3, *angles.shape))
+    data = [{"t": TIMES, "coordinates": angles + own} for own in noise]
+    many = lierb.fits(two, data, DAMPING, **options)
+    assert many.converged.all()
+    assert_same(many, 2, lierb.fit(two, data[2], DAMPING, **options))
+
+
 @pytest.mark.long
 def test_a_mass_and_a_start_of_a_mechanism_agree_with_single_fits():
     """The other link follows the start by least kinetic energy: at the mass of the guess."""
@@ -506,30 +524,50 @@ def test_memory_is_estimated_before(monkeypatch):
         fitted(pendulum(), measured(4))
 
 
+LENGTH, MASS = 1e-3, 1e-6  # of a tiny system, m, kg
+TINY = lierb.joints.revolute(axis=(0.0, 1.0, 0.0), body_point=(0.0, 0.0, 0.5 * LENGTH))
+SCALE = MASS * LENGTH**2
+
+
+def tiny_pendulum(damping, stiffness) -> lierb.Problem:
+    """A pendulum of 1 mm and 1 mg moves as one of 1 m does under a thousandth of the gravity."""
+    spring = lierb.forces.torsional_spring(damping=damping * SCALE, stiffness=stiffness * SCALE)
+    box = lierb.bodies.box((0.1 * LENGTH, 0.1 * LENGTH, LENGTH), mass=MASS)
+    return lierb.Problem(box, TINY, (0.0, 0.0, -9.81 * LENGTH), spring)
+
+
 @pytest.mark.parametrize("guess", [(0.0, 0.3), pytest.param((0.0, 0.0), marks=pytest.mark.slow)])
 def test_a_guess_of_zero_in_a_tiny_system_has_a_size(guess):
-    """A pendulum of 1 mm and 1 mg moves as one of 1 m does under a thousandth of the gravity."""
-    length, inertia = 1e-3, 1e-6 * 1e-3**2
-    hinge = lierb.joints.revolute(axis=(0.0, 1.0, 0.0), body_point=(0.0, 0.0, 0.5 * length))
-    spring = lierb.forces.torsional_spring(damping=guess[0] * inertia, stiffness=guess[1] * inertia)
-    tiny = lierb.Problem(
-        lierb.bodies.box((0.1 * length, 0.1 * length, length), mass=1e-6), hinge,
-        (0.0, 0.0, -9.81 * length), spring,
-    )  # fmt: skip
+    tiny = tiny_pendulum(*guess)
     data = measured(2)
     wanted = fitted(pendulum(), data)
-    many = fitted(tiny, data, pose0=hinge.pose([1.0]))
+    many = fitted(tiny, data, pose0=TINY.pose([1.0]))
     single = lierb.fit(
         tiny, {"t": TIMES, "omega": data["omega"][:, :1]}, (DAMPING, STIFFNESS, "omega0"),
-        pose0=hinge.pose([1.0]), sigma={"omega": SIGMA}, **RUN,
+        pose0=TINY.pose([1.0]), sigma={"omega": SIGMA}, **RUN,
     )  # fmt: skip
     assert many.converged.all()
     assert single.converged
     assert not single.unidentifiable
     for name in (DAMPING, STIFFNESS):
         off = 1e-4 * wanted.standard_errors[name]  # iterations end within thousandths of them
-        assert np.all(np.abs(many.estimate[name] / inertia - wanted.estimate[name]) < off)
-        assert np.all(np.abs(single.estimate[name] / inertia - wanted.estimate[name][0]) < off[0])
+        assert np.all(np.abs(many.estimate[name] / SCALE - wanted.estimate[name]) < off)
+        assert np.all(np.abs(single.estimate[name] / SCALE - wanted.estimate[name][0]) < off[0])
+
+
+def test_fits_that_take_the_places_of_others_are_the_same(monkeypatch):
+    """Beside fits that had begun, a number that is zero at the guess had the size 1."""
+    data, pose0 = measured(4), TINY.pose([1.0])
+    stiffness = SCALE * np.array([0.4, 0.1, 0.8, 0.3])
+    guesses = {DAMPING: 0.0, STIFFNESS: stiffness, "omega0": None}
+    whole = fitted(tiny_pendulum(0.0, 0.4), data, guesses, pose0=pose0)
+    monkeypatch.setattr(many_fits.Experiments, "bytes_each", 1)
+    monkeypatch.setattr(many_fits, "ROOM", 2)
+    few = fitted(tiny_pendulum(0.0, 0.4), data, guesses, pose0=pose0)
+    assert len({*whole.iterations[:2]}) == 2  # the third one begins beside one of them
+    assert not few.not_told.any()
+    for name in (DAMPING, STIFFNESS):
+        assert_allclose(few.estimate[name], whole.estimate[name], rtol=1e-12)
 
 
 @pytest.mark.slow

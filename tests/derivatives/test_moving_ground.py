@@ -5,6 +5,7 @@ import pytest
 
 import lierb
 from lierb.errors import ForceError, UnknownNameError
+from lierb.studies.description.differentiated import names_of, parameters_of
 
 BY = "shaking.amplitude"
 
@@ -117,3 +118,45 @@ def test_motions_of_the_links_are_in_one_order():
     ]
     with pytest.raises(ForceError, match="motions of all links in the same order"):
         lierb.Mechanism(made.links, forces=parts)
+
+
+CODE = """
+import lierb
+
+@lierb.ground_motion(amplitude=0.05)
+def shaking(t, params):
+    return params.amplitude * t**2, 0.0, 0.0
+"""
+
+
+@pytest.mark.parametrize("links", [1, 2])
+def test_a_study_names_the_motion_as_its_other_forces(tmp_path, links):
+    (tmp_path / "ground.py").write_text(CODE)
+    names = ["upper", "lower"][:links]
+    study = lierb.Study.of(
+        {
+            "problem": {
+                "links": [
+                    {
+                        "name": name, "parent": parent, "joint": {"type": "revolute"},
+                        "body": {"mass": 1.0, "inertia": [0.01, 0.02, 0.02]},
+                    }
+                    for name, parent in zip(names, ["ground", *names], strict=False)
+                ],
+                "forces": [
+                    {"type": "python:ground.py:shaking", "name": f"part{i}", "on": [name]}
+                    for i, name in enumerate(names)
+                ],
+            },
+            "sample": {"n": 4},
+            "integrate": {
+                "dt": 0.01, "t_end": 0.1,
+                "sensitivities": ["forces.part0.amplitude"],
+            },
+        },
+        folder=tmp_path,
+    )  # fmt: skip
+    (parameter,) = parameters_of(study, study.batch(0, 1).problem).values()
+    assert parameter.name == "shaking.amplitude"
+    assert len(parameter.own_fields) == links
+    assert "forces.part0.amplitude" in names_of(study, study.batch(0, 1).problem)

@@ -38,7 +38,9 @@ def parameters_of(study: StudyTables, model: Model) -> dict[str, Parameter]:
 
 def names_of(study: StudyTables, model: Model) -> dict[str, str]:
     """Return the names of all parameters, by their names in the study."""
-    in_study = {label: name for name, label in _labels(study, model)}
+    in_study: dict[str, str] = {}
+    for name, label in _labels(study, model):
+        in_study.setdefault(label, name)  # the first part of a motion of the ground
     return {_renamed(name, in_study): name for name in parameters_by_name(model)}
 
 
