@@ -13,7 +13,7 @@ from lierb.kernels.systems.signals import events_of
 from lierb.kernels.systems.state import State
 from lierb.kernels.systems.system_of import system_of
 
-LEAST_OF_STEP = 1e-6  # least bound, a fraction of a step, so that the next step passes a kink
+LEAST_OF_STEP = 1e-9  # least bound, a fraction of a step, so that the next step passes a kink
 LEAST_OF_TIME = 1e4 * EPS  # of the time: rounding of a step's ends is less than its slack
 MOST_PARTS = 32  # largest number of parts of a step, each searched for events
 
