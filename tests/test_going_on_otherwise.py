@@ -54,6 +54,24 @@ def test_derivatives_do_not_go_on_with_another_twist():
         lierb.integrate(cart(1.0), **changed, dt=0.01, t_end=2.0, with_respect_to="body.mass")
 
 
+@pytest.mark.slow
+def test_derivatives_do_not_go_on_with_other_forces_from_an_event():
+    """A heavier cart turns back later, at 1/3 s · mass, and then is pushed by another force."""
+    start = {"twist0": (0.0, 0.0, 0.0, 0.0, 0.0, 1.0), "rtol": 1e-9}
+    by_mass, names = {"with_respect_to": "body.mass"}, ["body.mass", "joint.ground_point"]
+    ended = lierb.integrate(cart(-3.0, events=turn()), **start, t_end=5.0, with_respect_to=names)
+    assert_allclose(ended.sensitivity("t", "body.mass"), [[1.0 / 3.0]], rtol=1e-9)
+    on = {"rtol": 1e-9, "t_end": 1.0}
+    with pytest.raises(ArgumentError, match=r"whose time depends on body\.mass, and forces are"):
+        lierb.integrate(cart(-6.0, events=turn()), **ended.end, **on, **by_mass)
+    # the place of the rail does not change the time, and the same force goes on
+    rail = "joint.ground_point"
+    moved = lierb.integrate(cart(-6.0, events=turn()), **ended.end, **on, with_respect_to=rail)
+    assert_allclose(moved.sensitivity("pose", rail)[0, 3:], np.eye(3), atol=1e-12)
+    same = lierb.integrate(cart(-3.0, events=turn()), **ended.end, **on, **by_mass)
+    assert_allclose(same.sensitivity("twist", "body.mass")[0, 5], 3.0, rtol=1e-9)
+
+
 @lierb.event(terminal=True)
 def land(r):
     return r[2] - 1.0

@@ -31,11 +31,17 @@ class EndDerivatives(NamedTuple):
     """Derivatives of the state of the kernels at the end of a run.
 
     directions : those of each parameter, by name.
-    parts : [`end_columns`][direction][trajectory].
+    parts : at a fixed time, [`end_columns`][direction][trajectory].
+    times : of the end times, s, [direction][trajectory]; zero but for ends by events.
     """
 
     directions: dict[str, slice]
     parts: Array
+    times: Array
+
+    def move_end(self, name: str) -> bool:
+        """Return True if an event ends a trajectory at a time that depends on a parameter."""
+        return bool(self.times[self.directions[name]].any())
 
 
 @dataclass(frozen=True)
@@ -70,9 +76,12 @@ class Continuation:
 
     def keeps_sides(self, model: Model) -> bool:
         """Return True if events of a model begin on the sides that they had at the end."""
-        return model is self.model or (
-            _have_equal_forces(model, self.model) and _are_same(model.events, self.model.events)
-        )
+        is_one = model is self.model
+        return is_one or (self.has_forces_of(model) and _are_same(model.events, self.model.events))
+
+    def has_forces_of(self, model: Model) -> bool:
+        """Return True if a model has the forces of the run that has ended."""
+        return model is self.model or _have_equal_forces(model, self.model)
 
     def clock_of(self, clock: StepClock) -> StepClock:
         """Return the clock of fixed steps from here; equal steps continue the count."""
@@ -96,7 +105,7 @@ class Continuation:
     def parts_of(self, model: Model, plan: AnyPlan, dt: float, names: Iterable[str]) -> Array:
         """Return the derivatives of `state_of` by some parameters, [column][direction][body]."""
         assert self.derivatives is not None
-        known, parts = self.derivatives
+        known, parts, _ = self.derivatives
         own = [parts[:, known[name]] for name in names]
         return self._columns_of(model, plan, dt, np.concatenate(own, axis=1))
 
@@ -110,8 +119,8 @@ class Continuation:
         known, own = len(state_columns(self.plan)), len(state_columns(plan))
         carried = plan.carried
         goes_on = plan.method == self.plan.method and has_its_rows and dt == self._dt
-        if carried and model is not self.model:
-            goes_on = goes_on and _have_equal_forces(model, self.model)
+        if carried:
+            goes_on = goes_on and self.has_forces_of(model)
         is_whole = known == own and (goes_on or not carried)
         if after.fields == before.fields and has_its_rows and is_whole:
             return columns

@@ -127,6 +127,12 @@ def _unfit_end(ready: Ready, parameters: tuple[Parameter, ...]) -> Iterator[str]
         elif part.stop - part.start != p.size:
             was = part.stop - part.start
             yield f"{p.name} has {p.size} numbers, and had {was} in {before}; give it as many"
+        elif known.move_end(p.name) and not ready.before.has_forces_of(ready.model):
+            yield (
+                f"{before} ended at an event, whose time depends on {p.name}, and forces are other "
+                f"ones from then on; the effect of this time is not known here; {anew}, with "
+                'sensitivity("t") of that run'
+            )
 
 
 def unfit_names(ready: Ready, parameters: tuple[Parameter, ...]) -> Iterator[str]:
@@ -330,7 +336,8 @@ def _together(
         events, event_times = _at_events(joined(of_events), slopes, first + which, is_fixed)
     stored = len(end_columns(plan))
     own = [each.ends[stored:].reshape(stored, plan.directions, n) for each in outputs]
-    state = EndDerivatives(slices_of(parameters), np.concatenate(own, axis=1)[:, :count])
+    parts = np.concatenate(own, axis=1)[:, :count]
+    state = EndDerivatives(slices_of(parameters), parts, times)
     return Derivatives(
         parameters, columns, tuple(of_rows), ends, times, statistics, events, event_times, state
     )
