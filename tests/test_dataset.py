@@ -482,12 +482,14 @@ def test_a_full_disk_ends_a_command_in_a_sentence(name, copy, monkeypatch):
     def full(*_args, **_options):
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr("lierb.studies.pages.figures.figures", lambda _dataset: iter(()))
+    monkeypatch.setattr("lierb.studies.pages.figures.figures", lambda _: iter([("time", None)]))
+    monkeypatch.setattr("lierb.studies.pages.figures.picture", lambda *_: b"drawn")
     monkeypatch.setattr("lierb.studies.pages.report.sheets", lambda *_: iter(()))
-    monkeypatch.setattr("lierb.studies.pages.figures.draw_all", full)
     monkeypatch.setattr(os, "fsync", full)
-    file = {"report": "report.html", "plot": "figures"}[name]
-    assert f"{copy / file} cannot be written: No space left on device; " in refused(name, copy)
+    file = {"report": "report.html", "plot": "figures/time.png"}[name]
+    said = refused(name, copy)
+    assert f"{copy / file} cannot be written: No space left on device; make room there" in said
+    assert "--resume" not in said  # which neither of them has
     assert not list(copy.rglob("*.unfinished"))
 
 
