@@ -87,6 +87,15 @@ def rewrite(folder, edit):
     path.write_bytes(sealed(manifest))
 
 
+def test_a_table_that_the_study_lacks_is_not_called_unfinished(tmp_path):
+    begun(tmp_path)
+    for name in ("events", "sumary"):
+        with pytest.raises(ArgumentError, match=f"name='{name}'; expected .* of a problem with ev"):
+            Dataset(tmp_path).table(name)
+    with pytest.raises(StudyError, match="has no finished part with history"):
+        begun(tmp_path / "new", parts=1).table("history")
+
+
 # ---- other people's files ----------------------------------------------------------------------
 
 OURS = [
