@@ -89,7 +89,7 @@ def rewrite(folder, edit):
 
 def test_a_table_that_the_study_lacks_is_not_called_unfinished(tmp_path):
     begun(tmp_path)
-    for name in ("events", "sumary"):
+    for name in ("events", "energy"):
         with pytest.raises(ArgumentError, match=f"name='{name}'; expected .* of a problem with ev"):
             Dataset(tmp_path).table(name)
     with pytest.raises(StudyError, match="has no finished part with history"):
