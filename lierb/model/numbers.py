@@ -120,6 +120,12 @@ def _grounds(model: Any) -> dict[str, str]:
     }
 
 
+def owners(model: Any) -> list[str]:
+    """Return what the numbers of each element are named by; parts of one ground's motion share it."""
+    grounds = _grounds(model)
+    return [grounds.get(label, label) for _, label, _ in labelled(model)]
+
+
 def _unit(element: Element, parameter: str) -> str:
     """Return the unit of an element's parameter; empty for a user's, which is unknown."""
     if isinstance(element.kind, BuiltIn):

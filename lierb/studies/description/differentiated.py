@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 from lierb.errors import UnknownNameError, unknown_name
 from lierb.model.base import Model
-from lierb.model.numbers import labelled
+from lierb.model.numbers import owners
 from lierb.runs.derivatives import require_differentiable
 from lierb.runs.options import Options
 from lierb.runs.parameters import Parameter, chosen_parameters, parameters_by_name
@@ -38,7 +38,7 @@ def parameters_of(study: StudyTables, model: Model) -> dict[str, Parameter]:
 
 def names_of(study: StudyTables, model: Model) -> dict[str, str]:
     """Return the names of all parameters, by their names in the study."""
-    in_study = {label: name for name, label in _labels(study, model)}
+    in_study = {label: name for name, label in reversed([*_labels(study, model)])}
     return {_renamed(name, in_study): name for name in parameters_by_name(model)}
 
 
@@ -52,9 +52,7 @@ def check_derivatives(study: StudyTables, batch: Batch, options: Options) -> Non
 
 def _labels(study: StudyTables, model: Model) -> Iterator[tuple[str, str]]:
     """Yield the name of each element in the study, and in the model."""
-    for (table, section), (_, label, _) in zip(
-        study.problem.elements(), labelled(model), strict=True
-    ):
+    for (table, section), label in zip(study.problem.elements(), owners(model), strict=True):
         yield f"{table}.{section.label}", label
 
 

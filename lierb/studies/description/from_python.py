@@ -24,7 +24,7 @@ from lierb.model.functions.elements import Element
 from lierb.model.joints.joint import Joint
 from lierb.model.joints.joint_type import JOINTS
 from lierb.model.mechanism.mechanism import Mechanism
-from lierb.model.numbers import labelled
+from lierb.model.numbers import owners
 from lierb.model.problem import Problem
 from lierb.sampling import Design
 from lierb.studies.description.changes import label_of
@@ -320,7 +320,8 @@ def _names_in_study(
 ) -> dict[str, str]:
     """Return the names of the elements in a study, `forces.drag_2`, by those in the problem."""
     names = [f"{table}.{label_of(each)}" for table, own in elements.items() for each in own]
-    return {label: name for (_, label, _), name in zip(labelled(problem), names, strict=True)}
+    pairs = zip(owners(problem), names, strict=True)
+    return {label: name for label, name in reversed([*pairs])}
 
 
 def _element(element: Element, code: dict[str, str]) -> dict[str, Any]:
