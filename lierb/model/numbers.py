@@ -121,7 +121,7 @@ def _grounds(model: Any) -> dict[str, str]:
 
 
 def owners(model: Any) -> list[str]:
-    """Return what the numbers of each element are named by; parts of one ground's motion share it."""
+    """Return the names of the elements in those of their numbers; a ground's parts share one."""
     grounds = _grounds(model)
     return [grounds.get(label, label) for _, label, _ in labelled(model)]
 

@@ -320,8 +320,7 @@ def _names_in_study(
 ) -> dict[str, str]:
     """Return the names of the elements in a study, `forces.drag_2`, by those in the problem."""
     names = [f"{table}.{label_of(each)}" for table, own in elements.items() for each in own]
-    pairs = zip(owners(problem), names, strict=True)
-    return {label: name for label, name in reversed([*pairs])}
+    return dict(reversed([*zip(owners(problem), names, strict=True)]))
 
 
 def _element(element: Element, code: dict[str, str]) -> dict[str, Any]:
