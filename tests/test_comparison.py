@@ -227,6 +227,13 @@ def test_errors_at_rounding_are_in_brackets_and_hollow(exact):
     assert len(hollow) == 1
 
 
+@pytest.mark.filterwarnings("error")
+def test_a_reference_that_fails_throughout_is_told_without_warnings_of_numpy():
+    fast = twists(np.full((1, 3), 1e5))
+    with pytest.raises(ArgumentError, match=r"the reference .* failed: 1 of 1 trajectories"):
+        lierb.convergence(box_top(), "RK4", [0.1], twist0=fast, t_end=T_END, repeats=0)
+
+
 def test_failed_trajectories_are_left_out_and_told(exact):
     wild = twists([*OMEGA, (1e120, 2e120, -1e120)])
     poses, moving = (np.concatenate([each, each[:1]]) for each in exact)

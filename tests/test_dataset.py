@@ -87,6 +87,15 @@ def rewrite(folder, edit):
     path.write_bytes(sealed(manifest))
 
 
+def test_a_table_that_the_study_lacks_is_not_called_unfinished(tmp_path):
+    begun(tmp_path)
+    for name in ("events", "energy"):
+        with pytest.raises(ArgumentError, match=f"name='{name}'; expected .* of a problem with ev"):
+            Dataset(tmp_path).table(name)
+    with pytest.raises(StudyError, match="has no finished part with history"):
+        begun(tmp_path / "new", parts=1).table("history")
+
+
 # ---- other people's files ----------------------------------------------------------------------
 
 OURS = [
@@ -482,12 +491,14 @@ def test_a_full_disk_ends_a_command_in_a_sentence(name, copy, monkeypatch):
     def full(*_args, **_options):
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr("lierb.studies.pages.figures.figures", lambda _dataset: iter(()))
+    monkeypatch.setattr("lierb.studies.pages.figures.figures", lambda _: iter([("time", None)]))
+    monkeypatch.setattr("lierb.studies.pages.figures.picture", lambda *_: b"drawn")
     monkeypatch.setattr("lierb.studies.pages.report.sheets", lambda *_: iter(()))
-    monkeypatch.setattr("lierb.studies.pages.figures.draw_all", full)
     monkeypatch.setattr(os, "fsync", full)
-    file = {"report": "report.html", "plot": "figures"}[name]
-    assert f"{copy / file} cannot be written: No space left on device; " in refused(name, copy)
+    file = {"report": "report.html", "plot": "figures/time.png"}[name]
+    said = refused(name, copy)
+    assert f"{copy / file} cannot be written: No space left on device; make room there" in said
+    assert "--resume" not in said  # which neither of them has
     assert not list(copy.rglob("*.unfinished"))
 
 

@@ -235,6 +235,8 @@ def test_what_does_not_fit_is_refused():
     rods = links(2, "ground")
     with pytest.raises(ForceError, match="moves the ground for link0 only; give ground_motion"):
         lierb.Mechanism(rods, forces=shaken().on("link0"))
+    with pytest.raises(ArgumentError, match=r"on no link; give .* in a study, put it on each link"):
+        lierb.Mechanism(rods, forces=shaken())
     with pytest.raises(ForceError, match="on two links"):
         lierb.Mechanism(rods, forces=shaken().on("link0", "link1"))
     water = lierb.forces.added_mass((0, 0, 0, 1.0, 1.0, 1.0)).on("link1")

@@ -56,6 +56,23 @@ def test_panels_follow_from_what_is_recorded(problem, spun):
     assert titles(bare.plot()) == errors
 
 
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("most_lines", [1, MOST_LINES])
+def test_a_lone_number_is_seen(problem, monkeypatch, most_lines):
+    """One row, or one above zero on a logarithmic axis, whose line would have no length."""
+    monkeypatch.setattr("lierb.results.history_plots.MOST_LINES", most_lines)
+    start = {"twist0": problem.joint.twist(omega=[(3.0, 40.0, 0.6), (3.0, 30.0, 0.6)])}
+    for times in ([2e-3], [0.0, 2e-3]):
+        run = lierb.integrate(problem, **start, dt=1e-3, t_end=2e-3, save_at=times, record="energy")
+        drift, kinetic = run.plot(["energy_drift", "energy"]).axes
+        assert all(line.get_marker() == "o" for line in drift.lines if len(line.get_ydata()))
+        marks = {line.get_marker() for line in kinetic.lines if len(line.get_ydata())}
+        assert marks == {"o" if len(times) == 1 else "None"}
+        low, high = drift.get_xlim()
+        assert low < high
+        assert low <= times[0] <= times[-1] <= high
+
+
 def test_columns_of_any_name_have_panels_with_their_units(spun):
     """Panels of columns of any name, such as observables."""
     rows = spun.history.num_rows

@@ -837,6 +837,9 @@ def test_predict_and_warmup_take_settings(run_changed):
     assert universal != succeed("predict", file)
     assert succeed("warmup", file, *CHANGED[:4]).splitlines()[0].startswith("SO3xR3, RK4, dt = 0.0")
     assert command("warmup", "spherical", "--set", "sample.n=3").exit_code == 2
+    assert "--set changes" in command("warmup", file, "--method", "Euler").stderr
+    assert "--set changes" in command("warmup", file, "--multipliers").stderr
+    assert "one study or joints" in command("warmup", file, "spherical").stderr
 
 
 def test_only_of_a_number_that_is_none_is_named(run_changed):

@@ -439,6 +439,32 @@ DOUBLE = {
 }  # fmt: skip
 
 
+QUAKE = """import lierb
+
+
+@lierb.ground_motion(size=0.01)
+def quake(t, params):
+    return params.size * t * t, 0.0, 0.0
+"""
+
+
+def test_a_moving_ground_has_the_name_of_the_sampled_quantity():
+    """Of one link or several, in which it is a force on each."""
+    for links in (DOUBLE["problem"]["links"][:1], DOUBLE["problem"]["links"]):
+        forces = [
+            {"type": "python:quake.py:quake", "name": f"quake{i}", "on": [link["name"]]}
+            for i, link in enumerate(links)
+        ]
+        for name in (*(f"forces.quake{i}.size" for i in range(len(links))), "quake.size"):
+            made = {
+                "problem": {"links": links, "forces": forces},
+                "integrate": {"dt": 1e-2, "t_end": 0.5, "sensitivities": [name]},
+            }
+            study = Study.of(made, code={"quake.py": QUAKE})
+            (parameter,) = parameters_of(study, study.batch(0, 1).problem).values()
+            assert parameter.name == "quake.size"
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("tables", "link"),

@@ -8,6 +8,7 @@ from cases import integrate
 from public_cases.shared import bounced, summed
 
 import lierb
+from lierb.analysis.magnitudes import magnitudes
 from lierb.errors import ArgumentError, ForceError, StudyError
 from lierb.studies.description.units import unit_of
 from lierb.studies.findings.along_parameters import AlongParameters
@@ -45,6 +46,14 @@ FIXED = {"dt": 1e-3, "record": ("state", "energy")}  # a kernel for all of them
 
 def wound(problem) -> np.ndarray:
     return problem.joint.pose(SWING[:, None])
+
+
+def test_the_size_of_an_energy_has_that_of_a_wound_spring():
+    """By it the tables of studies and comparisons judge what is zero."""
+    problem = mainspring()
+    rest = np.zeros((3, 6))
+    _, energies = magnitudes(problem, wound(problem), rest)
+    np.testing.assert_allclose(energies, 0.5 * STIFFNESS * SWING**2)
 
 
 ADAPTIVE = {"rtol": 1e-10, "method": "DOP853"}

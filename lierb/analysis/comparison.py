@@ -212,7 +212,7 @@ class Comparison(Represented):
             folder.mkdir(parents=True, exist_ok=True)
         files = {folder / f"{NAME}.{kind}": content for kind, content in contents.items()}
         for path, content in files.items():
-            write_whole(path, content, "make room there, or choose another folder")
+            write_whole(path, content)
         return [*files]
 
     # ---- at a prompt ----

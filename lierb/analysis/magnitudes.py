@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from itertools import chain
 from typing import Any
 
 import numpy as np
 
+from lierb.kernels.functions.signals import Signals
 from lierb.kernels.mechanics.newton_euler import SE3
+from lierb.kernels.mechanics.passive_elements import AddedStates
 from lierb.kernels.mechanics.scale import length_of
 from lierb.kernels.numbers.arithmetic import plain
 from lierb.kernels.numbers.vec import dot, mat_vec_add, norm
@@ -51,15 +54,19 @@ def _of_links(
 
 
 def _of_body(problem: Problem, poses: Array, twists: Array) -> tuple[Array, Array]:
+    """Return the length and the energies; counted angles are those nearest to their start."""
     parameters, body = problem.parameters(), problem.constants()
     length = length_of(parameters)
     placed, velocity = SE3.to_joint_axes(parameters, pose_components(poses), components(twists))
     motion = SE3.kinematics(body, placed, velocity).motion
+    elements = list(zip(problem.kinds, body.elements, strict=True))
+    states = (e.at_start(own, motion) for e, own in elements if isinstance(e, AddedStates))
+    motion = motion._replace(signals=Signals(tuple(chain.from_iterable(states))))
     energies = [
         SE3.kinetic_energy(body, velocity),
         SE3.potential_energy(body, placed),
         parameters.mass * norm(parameters.gravity) * length,
-        *(e.energy(own, motion) for e, own in zip(problem.kinds, body.elements, strict=True)),
+        *(e.energy(own, motion) for e, own in elements),
     ]
     total = sum(np.abs(plain(energy)) for energy in energies)
     size = length + norm(components(poses[..., :3, 3]))

@@ -30,7 +30,6 @@ METHOD = "RK4"
 DTS = (1e-2, 1e-3, 1e-4)  # s
 T_END = 10.0  # s
 ROWS_PER_HISTORY = 1000
-REMEDY = "make room there, or choose another folder, and run it again"
 
 
 @dataclass(frozen=True)
@@ -255,7 +254,7 @@ def _write_tables(report: PaperReport, folder: Path) -> list[Path]:
         folder / "history.parquet": report.history,
     }
     for path, table in tables.items():
-        write_whole(path, parquet(table, compression="zstd"), REMEDY)
+        write_whole(path, parquet(table, compression="zstd"))
     return list(tables)
 
 
@@ -277,6 +276,6 @@ def _draw(report: PaperReport, example: Example, figure: PaperFigure, folder: Pa
     files = []
     for kind in ("png", "svg"):
         path = folder / f"figure_{figure.number}_{example.key}_{figure.quantity}.{kind}"
-        write_whole(path, plots.picture(drawing, kind), REMEDY)
+        write_whole(path, plots.picture(drawing, kind))
         files.append(path)
     return files

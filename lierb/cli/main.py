@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
+from click.core import ParameterSource
 
 from lierb.cli import studies as study_cli
 from lierb.cli.comparing import compare
@@ -164,7 +165,9 @@ def cache(clear: bool) -> None:
 @click.option("--solver", default="auto", show_default=True, help="auto, saddle or subgroup.")
 @click.option("--multipliers", is_flag=True, help="The kernels of runs that record them.")
 @study_cli.SET
+@click.pass_context
 def warmup(
+    ctx: click.Context,
     joint: tuple[str, ...],
     method: tuple[str, ...],
     cspace: tuple[str, ...],
@@ -177,12 +180,17 @@ def warmup(
 
     JOINT is a name such as spherical (the default), or tree for looped mechanisms, or several.
     Every option but --solver may be given more than once: each combination is compiled. Or it is
-    the TOML file of a study.
+    the TOML file of a study, of which --set is the only option.
     """
     from lierb.installation import info as found_by
     from lierb.installation import warmup as made_ready
 
-    if len(joint) == 1 and joint[0].endswith(".toml"):
+    if any(name.endswith(".toml") for name in joint):
+        if len(joint) > 1:
+            raise click.UsageError(f"one study or joints, got {', '.join(joint)}")
+        for name in ("method", "cspace", "update", "solver", "multipliers"):
+            if ctx.get_parameter_source(name) is not ParameterSource.DEFAULT:
+                raise click.UsageError(f"--{name} is for joints; --set changes the study's")
         require("study")
         from lierb.studies.execution.replaying import compile_for
 

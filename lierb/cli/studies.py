@@ -19,7 +19,7 @@ from lierb.studies.description.shipped import examples
 from lierb.studies.description.sources import MANIFEST, STUDY, as_file, folder_by, is_copied
 from lierb.support.collected_warnings import warnings_collected
 from lierb.support.extras import require
-from lierb.support.files import folder_of, naming, parquet, write_whole
+from lierb.support.files import ROOM, folder_of, naming, parquet, write_whole
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -269,7 +269,7 @@ def plot(folder: Path) -> None:
     require("plot")
     from lierb.studies.pages.figures import draw_all, omitted
 
-    with naming(figures, "written", "make room there, and draw them again"):
+    with naming(figures, "written", ROOM):
         drawn = draw_all(dataset, figures)
     for path in drawn:
         click.echo(str(path))

@@ -33,7 +33,7 @@ from matplotlib.figure import Figure  # noqa: E402
 from matplotlib.lines import Line2D  # noqa: E402
 
 from lierb.results.colours import COLOURS  # noqa: E402
-from lierb.results.panels import positive  # noqa: E402
+from lierb.results.panels import mark_of, positive  # noqa: E402
 from lierb.results.plots import STYLE, ShownFigure  # noqa: E402
 
 MOST_LINES = 6  # most trajectories drawn one by one; for more, quantiles are drawn
@@ -216,7 +216,8 @@ def _draw_panel(axes: Axes, panel: Panel, t: Array, chosen: list[int], many: boo
             for i in range(len(chosen)):
                 colour = own if alone else COLOURS[i % len(COLOURS)]
                 line = positive(values[:, i], 0.0) if panel.is_error else values[:, i]
-                axes.plot(t, line, color=colour, linestyle=dash, linewidth=1.1)
+                mark = mark_of(line)
+                axes.plot(t, line, marker=mark, color=colour, linestyle=dash, linewidth=1.1)
         legend = own if alone or many else "#333333"
         axes.plot([], [], color=legend, linestyle=dash, label=series.label)
     if panel.is_error and drawn:
@@ -228,7 +229,10 @@ def _draw_panel(axes: Axes, panel: Panel, t: Array, chosen: list[int], many: boo
         axes.legend(**beside, fontsize=8, handlelength=1.3, columnspacing=0.8, handletextpad=0.4)
     axes.set_title(panel.axis, loc="left", fontsize=10)
     axes.set_xlabel("time [s]")
-    axes.set_xlim(t[0], t[-1] if t[-1] > t[0] else None)
+    if len(t) > 1:
+        axes.set_xlim(t[0], t[-1])
+    else:
+        axes.set(xlim=(t[0] - 0.5, t[0] + 0.5), xticks=t)
 
 
 def _draw_bands(axes: Axes, t: Array, values: Array, colour: str, is_error: bool) -> None:
@@ -238,10 +242,11 @@ def _draw_bands(axes: Axes, t: Array, values: Array, colour: str, is_error: bool
         most = np.nanmax(values, axis=1)
     if is_error:
         low, median, high, most = positive((low, median, high, most), 0.0)
-    axes.plot(t, median, color=colour, linewidth=1.3)
-    axes.fill_between(t, low, high, color=colour, alpha=0.2, linewidth=0)
+    mark = mark_of(median)
+    axes.plot(t, median, marker=mark, color=colour, linewidth=1.3)
+    axes.fill_between(t, low, high, color=colour, alpha=0.2, linewidth=4 if mark else 0)
     if is_error:
-        axes.plot(t, most, color=colour, linewidth=0.5)
+        axes.plot(t, most, marker=mark_of(most), markersize=3, color=colour, linewidth=0.5)
 
 
 def _draw_trace(axes: Axes, trace: Trace, chosen: list[int]) -> None:

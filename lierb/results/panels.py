@@ -131,6 +131,11 @@ def positive(errors: Any, least: float) -> Array:
     return np.where(values > least, np.minimum(values, MOST), np.nan)
 
 
+def mark_of(line: Array) -> str | None:
+    """Return the mark of a line with one number, which has no length."""
+    return "o" if np.isfinite(line).sum() == 1 else None
+
+
 def log_axes(panel: Axes, axes: str, zeros: Sequence[str] = (), why: str = NO_BODY) -> None:
     """Make axes logarithmic with few ticks; write the reason if nothing is drawn.
 

@@ -23,6 +23,7 @@ COMMENT = re.compile(rb"<!--.*?-->", re.DOTALL)
 HTML = re.compile(rb"(\xef\xbb\xbf)?\s*<(!doctype\s+html|html)\b", re.IGNORECASE)
 RESUME = "--resume (resume=True) does"
 KEPT = f"finished parts are kept, {RESUME} the rest"
+ROOM = "make room there, or choose another place"
 READABLE = f"make it readable, or delete it, and {RESUME} it again"
 
 
@@ -62,16 +63,16 @@ def parquet(table: pa.Table, **options: Any) -> pa.Buffer:
     return content.getvalue()
 
 
-def write_whole(path: Path, content: Any, remedy: str = KEPT) -> None:
+def write_whole(path: Path, content: Any) -> None:
     """Write a file with that content, or leave it unchanged. Raises StudyFileError.
 
     Links, pipes and devices such as /dev/stdout are written in place.
     """
     if path.is_symlink() or (path.exists() and not path.is_file()):
-        with naming(path, "written", remedy):
+        with naming(path, "written", ROOM):
             path.write_bytes(content)
     else:
-        rename(write_aside(path, content, remedy), path, remedy)
+        rename(write_aside(path, content, ROOM), path, ROOM)
 
 
 def require_page(path: Path) -> None:

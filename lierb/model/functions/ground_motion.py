@@ -113,6 +113,14 @@ def moving_ground(given: Any) -> MovingGround | None:
     return GroundMotion(given, {})()
 
 
+def for_all_links(motion: MovingGround) -> str:
+    """Return the remedy for a motion that is not on all links."""
+    return (
+        f"give ground_motion={motion.name}(…) to the model, which moves the ground for all links; "
+        "in a study, put it on each link, under names of their own"
+    )
+
+
 def require_one_ground(model: Any) -> None:
     """Raise ForceError unless the ground moves for all links, and no force forbids that."""
     moving = [force for force in model.forces if isinstance(force, MovingGround)]
@@ -121,8 +129,8 @@ def require_one_ground(model: Any) -> None:
     links = [force.at[0] if force.at else "" for force in moving]
     if any(links.count(link) != links.count(links[0]) for link in model.link_names):
         raise ForceError(
-            f"{moving[0].name} moves the ground for {', '.join(sorted({*links}))} only; give "
-            f"ground_motion={moving[0].name}(…) to the model, which moves it for all links"
+            f"{moving[0].name} moves the ground for {', '.join(sorted({*links}))} only; "
+            f"{for_all_links(moving[0])}"
         )
     of_first, *of_others = (
         [x for x in moving if x.at == at] for at in {x.at: None for x in moving}

@@ -20,7 +20,7 @@ from lierb.model.functions.constraints import Constraint
 from lierb.model.functions.controllers import Controller
 from lierb.model.functions.elements import Element
 from lierb.model.functions.events import Event
-from lierb.model.functions.ground_motion import MovingGround
+from lierb.model.functions.ground_motion import MovingGround, for_all_links
 from lierb.model.functions.observables import Observable
 from lierb.model.functions.states import ExtraStates
 from lierb.model.functions.wrenches import Force
@@ -221,6 +221,10 @@ class Tree(Model):
     def _placed(self, label: str, element: Element) -> Any:
         """Return the element on its links; raise if it has none or cannot act there."""
         if not element.at:
+            if len(self.links) > 1 and isinstance(element, MovingGround):
+                raise ArgumentError(
+                    f"{label}, {element.name}, is on no link; {for_all_links(element)}"
+                )
             if len(self.links) > 1:
                 raise ArgumentError(
                     f"{label}, {element.name}, is on no link; place it by "

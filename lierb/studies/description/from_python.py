@@ -320,7 +320,10 @@ def _names_in_study(
 ) -> dict[str, str]:
     """Return the names of the elements in a study, `forces.drag_2`, by those in the problem."""
     names = [f"{table}.{label_of(each)}" for table, own in elements.items() for each in own]
-    return {label: name for (_, label, _), name in zip(labelled(problem), names, strict=True)}
+    told: dict[str, str] = {}
+    for (_, label, _), name in zip(labelled(problem), names, strict=True):
+        told.setdefault(label, name)  # the first part of a motion of the ground
+    return told
 
 
 def _element(element: Element, code: dict[str, str]) -> dict[str, Any]:

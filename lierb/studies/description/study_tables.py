@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from itertools import product
 from typing import Any, Self
 
 from pydantic import ConfigDict, PrivateAttr, model_validator
 
+from lierb.errors import ArgumentError
 from lierb.runs.time_options import ADAPTIVE_METHOD
 from lierb.sampling import Design
 from lierb.studies.description.code import Code, named, sha256_of_text
@@ -179,6 +180,15 @@ def _dependent(has_links: bool, is_adaptive: bool) -> tuple[tuple[str, list[str]
         ("cspace", ["reduced" if has_links else "SE3"]),
         ("method", [ADAPTIVE_METHOD if is_adaptive else "RK4"]),
     )
+
+
+def require_table(label: str, name: object, known: Collection[str]) -> None:
+    """Raise ArgumentError for a table that a study does not have.   known : its tables."""
+    if name not in known:
+        raise ArgumentError(
+            f'{label}={name!r}; expected "summary", "history" with save_every or save_at, or '
+            '"events" of a problem with events'
+        )
 
 
 def tables_of_study(study: Mapping[str, Any]) -> tuple[str, ...]:

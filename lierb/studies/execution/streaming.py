@@ -9,11 +9,11 @@ from pathlib import Path
 
 import pyarrow as pa
 
-from lierb.errors import ArgumentError
 from lierb.results.failures import Failures, warn_of
 from lierb.studies.description.settings import Setting
 from lierb.studies.description.stopping import Bodies
 from lierb.studies.description.study import Study
+from lierb.studies.description.study_tables import require_table
 from lierb.studies.execution.foreseen import warn_before
 from lierb.studies.execution.opening import loaded
 from lierb.studies.execution.replaying import REPLAY
@@ -62,11 +62,7 @@ def integrate_batches(
     """
     given, _ = loaded(study)
     warn_before(given, stacklevel=3)
-    if table not in given.table_names:
-        raise ArgumentError(
-            f'table={table!r}; expected "summary", "history" with save_every or save_at, or '
-            '"events" of a problem with events'
-        )
+    require_table("table", table, given.table_names)
     design, parts, rule = given.design, Parts(given), given.stopping_rule
 
     def made() -> Iterator[pa.Table]:

@@ -9,7 +9,15 @@ import numpy as np
 
 from lierb.analysis.magnitudes import DRIFTS
 from lierb.kernels.systems.measures import MEASURES
-from lierb.results.panels import MOST_KEYS, NO_TIMES, Sheet, label_lines, log_axes, positive
+from lierb.results.panels import (
+    MOST_KEYS,
+    NO_TIMES,
+    Sheet,
+    label_lines,
+    log_axes,
+    mark_of,
+    positive,
+)
 from lierb.studies.findings.occurrences import event_names, first_times
 from lierb.studies.findings.sizes import errors_seen, least_drawn
 from lierb.studies.findings.statistics import quantiles_over_time
@@ -64,10 +72,11 @@ def _draw_errors(
             continue
         low, median, high, most = positive(bands, least)
         colour, dash = look.key.colour, look.key.dash
-        mark = "o" if times.size == 1 else None
+        mark = mark_of(median)
         panel.plot(times, median, marker=mark, color=colour, linestyle=dash, linewidth=look.width)
         bottom = np.where(np.isnan(low), np.nanmin(positive(bands, least)), low)
-        panel.fill_between(times, bottom, high, color=colour, alpha=0.18, linewidth=0)
+        width = 4 if mark else 0
+        panel.fill_between(times, bottom, high, color=colour, alpha=0.18, linewidth=width)
         panel.plot(times, most, color=colour, linestyle=dash, linewidth=0.6, alpha=0.8)
         ends.append((look.key.label, colour, *_end(times, median if np.isfinite(median).any()
                                                    else most)))  # fmt: skip
@@ -86,9 +95,11 @@ def _draw_column(dataset: Results, shown: list[Look], name: str, label: str, pan
         low, median, high, _ = bands
         if not np.isfinite(median).any():
             continue
-        panel.plot(times, median, color=look.key.colour, linestyle=look.key.dash,
+        mark = mark_of(median)
+        panel.plot(times, median, marker=mark, color=look.key.colour, linestyle=look.key.dash,
                    linewidth=look.width)  # fmt: skip
-        panel.fill_between(times, low, high, color=look.key.colour, alpha=0.15, linewidth=0)
+        width = 4 if mark else 0
+        panel.fill_between(times, low, high, color=look.key.colour, alpha=0.15, linewidth=width)
         ends.append((look.key.label, look.key.colour, *_end(times, median)))
     panel.set_ylabel(label, parse_math=False)
     panel.set_xlabel("time [s]")

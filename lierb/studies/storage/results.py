@@ -21,6 +21,7 @@ from lierb.studies.description.code import Code, read_code
 from lierb.studies.description.settings import Setting
 from lierb.studies.description.sources import MANIFEST, STUDY
 from lierb.studies.description.study import Study
+from lierb.studies.description.study_tables import require_table, tables_of_study
 from lierb.studies.storage.manifest import Manifest, file_of, read_manifest
 from lierb.support.files import RESUME, as_it_is, folder_of, sha256_of
 from lierb.support.representations import Represented
@@ -142,10 +143,13 @@ class Results(Represented):
 
         Raises
         ------
+        ArgumentError
+            The study has no such table.
         StudyError
-            The study has no such table, or a file is damaged.
+            No part is finished yet, or a file is damaged.
         """
         self._read_once()
+        require_table("name", name, tables_of_study(self.manifest["study"]))
         files = [file_of(name, part) for part, own in self.parts.items()
                  if file_of(name, part) in own]  # fmt: skip
         if not files:
