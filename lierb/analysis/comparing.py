@@ -311,7 +311,8 @@ def _notes(
     model, norm, repeats = case.model, case.norm, case.repeats
     of_all = f", the {norm} over the {count} trajectories" if count > 1 else ""
     links = ", of the farthest link" if model.joint_names else ""
-    ended = ", or where an event has ended a trajectory" if model.events else ""
+    may_end = any(event.terminal for event in model.events)
+    ended = ", or where an event has ended a trajectory" if may_end else ""
     yield f"Errors are those at t = {case.t_end:g} s{ended}, from t = {case.t0:g} s{links}{of_all}."
     if reference.errors and any(reference.errors.values()):
         each = ", ".join(

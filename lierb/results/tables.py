@@ -61,7 +61,7 @@ def _schema(columns: dict[str, Column], covers: dict[str, str]) -> pa.Schema:
 def _covers_of(model: Model) -> dict[str, str]:
     """Return descriptions of the columns of energy, energy drift and work."""
     stored = [force.name for force in model.forces if force.kind.is_conservative]
-    working = [w for force in model.forces if (w := _work_of(force))]
+    working = dict.fromkeys(w for force in model.forces if (w := _work_of(force)))  # of all links
     energy = f"kinetic energy; potential energy of {', '.join(('gravity', *stored))}"
     drift, work = energy, "nothing: all that acts has a potential"
     if working:
