@@ -14,12 +14,11 @@ from lierb.analysis.varied_runs import options_and_threads
 from lierb.api import checked_model, integrate_model, report_start, start_check
 from lierb.errors import ArgumentError, FailedTrajectoryWarning, unknown_name
 from lierb.kernels.loops.gains import END_TIME
-from lierb.kernels.systems.system_of import plan_with_derivatives
 from lierb.model.base import Model
 from lierb.model.connections import NOWHERE
 from lierb.model.mechanism.mechanism import Mechanism
 from lierb.model.problem import Problem
-from lierb.runs.adjoint import gains_of
+from lierb.runs.adjoint import gains_of, plan_backwards
 from lierb.runs.derivative_steps import (
     EXAMINED,
     is_examined,
@@ -93,8 +92,9 @@ def gradient(
     """Differentiate one number at the end of a run by its start and all numbers of the model.
 
     The cost is that of three to five runs, whatever the number of parameters. To differentiate by
-    few parameters, or several quantities, use `with_respect_to` of `integrate`. Looped code has no
-    adjoint; there a gradient takes two to three runs for each number of the parameters.
+    few parameters, or several quantities, use `with_respect_to` of `integrate`. Looped code with
+    closed loops, motors of given speed, constraints or events has no adjoint; there a gradient
+    takes two to three runs for each number of the parameters.
 
     Parameters
     ----------
@@ -181,15 +181,14 @@ def gradient(
             "go back; begin with a copy of its poses, pose0=pose0.copy()"
         )
     number = _number(model, of)
-    if prepared.plan.is_in_memory:
+    plan = plan_backwards(prepared)
+    if plan is None:
         return _along_directions(model, of, parameters, keywords, pose0, twist0, threads, progress)
     warn_of_switches(model, stacklevel=3)
     warn_of_stiff_steps(prepared, stacklevel=3)
     report_start(prepared, 3)
     start, inputs = start_and_inputs(prepared)
     prepared = prepared._replace(inputs=inputs)
-    fields = [f.name for f, _ in inputs.columns if f.name != "state"]
-    plan = plan_with_derivatives(prepared.plan, tuple(fields))
     gains, ends = gains_of(
         prepared, plan, number, threads, progress, start_check(prepared, 6 + plan.has_lane_clocks)
     )

@@ -352,8 +352,8 @@ def chain(**more) -> lierb.Mechanism:
     return lierb.Mechanism([upper, lower], gravity=(0.0, 0.0, -9.81), **observed)
 
 
-@pytest.mark.long
-@pytest.mark.parametrize("of", ["swing", "energy"])
+@pytest.mark.slow
+@pytest.mark.parametrize("of", ["swing", pytest.param("energy", marks=pytest.mark.long)])
 def test_looped_code_has_the_gradients_of_unrolled_code(of):
     mechanism = chain()
     start = {"twist0": mechanism.twist({"upper": 1.0, "lower": -2.0})}
