@@ -14,6 +14,7 @@ from lierb.analysis.varied_runs import options_and_threads
 from lierb.api import checked_model, integrate_model, report_start, start_check
 from lierb.errors import ArgumentError, FailedTrajectoryWarning, unknown_name
 from lierb.kernels.loops.gains import END_TIME
+from lierb.kernels.systems.layout import Columns
 from lierb.model.base import Model
 from lierb.model.connections import NOWHERE
 from lierb.model.mechanism.mechanism import Mechanism
@@ -26,9 +27,11 @@ from lierb.runs.derivative_steps import (
     with_half_steps,
 )
 from lierb.runs.derivatives import fixed_names, obstacles, start_and_inputs, unfit_names
+from lierb.runs.inputs import Inputs
 from lierb.runs.options import Options
 from lierb.runs.parameters import Parameter, chosen_parameters, parameters_by_name, seeds_of
-from lierb.runs.start_directions import Seeds
+from lierb.runs.start_directions import Seeds, Start
+from lierb.runs.start_gains import carries, gains_through_start
 from lierb.runs.starts import Ready, ready
 from lierb.runs.stiffness import warn_of_stiff_steps
 from lierb.runs.switches import warn_of_switches
@@ -209,9 +212,7 @@ def gradient(
             FailedTrajectoryWarning,
             stacklevel=2,
         )
-    with np.errstate(all="ignore"):  # of starts that violate their joints
-        seeds = seeds_of(parameters, start)
-    parts = {p.name: _part(seeds[p.name], p.size, prepared, gains) for p in parameters}
+    parts = _parts(parameters, start, inputs, gains)
     return Gradient(of, gains[-1], parts, {p.name: p.unit for p in parameters})
 
 
@@ -267,9 +268,26 @@ def _along_directions(
     return Gradient(of, value, parts, {p.name: p.unit for p in parameters})
 
 
-def _part(seeds: Seeds, size: int, prepared: Ready, gains: Array) -> Array:
+def _parts(
+    parameters: tuple[Parameter, ...], start: Start, inputs: Inputs, gains: Array
+) -> dict[str, Array]:
+    """Return the derivatives by the numbers of each parameter, (n, k)."""
+    columns, moving = inputs.columns, [p for p in parameters if carries(start, p)]
+    with np.errstate(all="ignore"):  # of starts that violate their joints
+        seeds = seeds_of([p for p in parameters if p not in moving], start)
+        parts = {name: _part(own, columns, gains) for name, own in seeds.items()}
+        if moving:
+            through = gains_through_start(start, {f.name: gains[at] for f, at in columns})
+            gains = gains.copy()
+            for name, own in through.items():
+                gains[columns[name]] += own
+        parts |= {p.name: _part(p.seeds(start), columns, gains) for p in moving}
+    return {p.name: parts[p.name] for p in parameters}
+
+
+def _part(seeds: Seeds, columns: Columns, gains: Array) -> Array:
     """Return the derivatives by the numbers of a parameter, (n, k)."""
-    columns, count = prepared.inputs.columns, gains.shape[1]
+    size, count = len(next(iter(seeds.values()))), gains.shape[1]
     total = np.zeros((count, size))
     for field, array in seeds.items():  # [direction][trajectory or 1][number]
         for of_number, gain in zip(np.moveaxis(array, -1, 0), gains[columns[field]], strict=True):
