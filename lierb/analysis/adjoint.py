@@ -27,11 +27,10 @@ from lierb.runs.derivative_steps import (
     with_half_steps,
 )
 from lierb.runs.derivatives import fixed_names, obstacles, start_and_inputs, unfit_names
-from lierb.runs.inputs import Inputs
 from lierb.runs.options import Options
 from lierb.runs.parameters import Parameter, chosen_parameters, parameters_by_name, seeds_of
 from lierb.runs.start_directions import Seeds, Start
-from lierb.runs.start_gains import carries, gains_through_start
+from lierb.runs.start_gains import TreeStart
 from lierb.runs.starts import Ready, ready
 from lierb.runs.stiffness import warn_of_stiff_steps
 from lierb.runs.switches import warn_of_switches
@@ -94,7 +93,7 @@ def gradient(
 ) -> Gradient:
     """Differentiate one number at the end of a run by its start and all numbers of the model.
 
-    The cost is that of three to five runs, whatever the number of parameters. To differentiate by
+    The cost is that of three to six runs, whatever the number of parameters. To differentiate by
     few parameters, or several quantities, use `with_respect_to` of `integrate`. Looped code with
     closed loops, motors of given speed, constraints or events has no adjoint; there a gradient
     takes two to three runs for each number of the parameters.
@@ -212,7 +211,8 @@ def gradient(
             FailedTrajectoryWarning,
             stacklevel=2,
         )
-    parts = _parts(parameters, start, inputs, gains)
+    tree = TreeStart(start) if plan.is_in_memory else None
+    parts = _parts(parameters, start, tree, inputs.columns, gains)
     return Gradient(of, gains[-1], parts, {p.name: p.unit for p in parameters})
 
 
@@ -269,27 +269,36 @@ def _along_directions(
 
 
 def _parts(
-    parameters: tuple[Parameter, ...], start: Start, inputs: Inputs, gains: Array
+    parameters: tuple[Parameter, ...],
+    start: Start,
+    tree: TreeStart | None,
+    columns: Columns,
+    gains: Array,
 ) -> dict[str, Array]:
-    """Return the derivatives by the numbers of each parameter, (n, k)."""
-    columns, moving = inputs.columns, [p for p in parameters if carries(start, p)]
+    """Return the derivatives by the numbers of each parameter, (n, k).
+
+    tree : the start, if it may be that of a tree.
+    """
+    moving = [p for p in parameters if tree and tree.moves(p)]
+    by_field = {f.name: gains[at] for f, at in columns}
     with np.errstate(all="ignore"):  # of starts that violate their joints
         seeds = seeds_of([p for p in parameters if p not in moving], start)
-        parts = {name: _part(own, columns, gains) for name, own in seeds.items()}
-        if moving:
-            through = gains_through_start(start, {f.name: gains[at] for f, at in columns})
-            gains = gains.copy()
-            for name, own in through.items():
-                gains[columns[name]] += own
-        parts |= {p.name: _part(p.seeds(start), columns, gains) for p in moving}
+        parts = {name: _part(own, by_field) for name, own in seeds.items()}
+        through: dict[str, Array] = {}
+        if tree and any(p.is_start for p in moving):
+            through = tree.gains_of_start(by_field)
+        if tree and not all(p.is_start for p in moving):
+            of_frames = tree.gains_of_frames(by_field)
+            through |= {name: by_field[name] + own for name, own in of_frames.items()}
+        parts |= {p.name: _part(p.seeds(start), through) for p in moving}
     return {p.name: parts[p.name] for p in parameters}
 
 
-def _part(seeds: Seeds, columns: Columns, gains: Array) -> Array:
+def _part(seeds: Seeds, gains: Mapping[str, Array]) -> Array:
     """Return the derivatives by the numbers of a parameter, (n, k)."""
-    size, count = len(next(iter(seeds.values()))), gains.shape[1]
-    total = np.zeros((count, size))
+    (size, *_), *_ = (array.shape for array in seeds.values())
+    total = np.zeros((len(next(iter(gains.values()))[0]), size))
     for field, array in seeds.items():  # [direction][trajectory or 1][number]
-        for of_number, gain in zip(np.moveaxis(array, -1, 0), gains[columns[field]], strict=True):
+        for of_number, gain in zip(np.moveaxis(array, -1, 0), gains[field], strict=True):
             total += of_number.T * gain[:, None]  # in one order, whatever the batch
     return total
