@@ -95,8 +95,8 @@ def gradient(
 
     The cost is that of three to six runs, whatever the number of parameters. To differentiate by
     few parameters, or several quantities, use `with_respect_to` of `integrate`. Looped code with
-    closed loops, motors of given speed, constraints or events has no adjoint; there a gradient
-    takes two to three runs for each number of the parameters.
+    closed loops, motors of given speed or constraints has no adjoint; there a gradient takes two to
+    three runs for each number of the parameters.
 
     Parameters
     ----------
@@ -251,7 +251,7 @@ def _along_directions(
     threads: int | None,
     progress: Progress,
 ) -> Gradient:
-    """Return the gradient from derivatives along all directions, for looped code."""
+    """Return the gradient from derivatives along all directions, for looped code with loops."""
     if of == ENERGY:
         if any(event.terminal for event in model.events):
             raise ArgumentError(

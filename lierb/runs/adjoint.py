@@ -20,7 +20,7 @@ from lierb.kernels.stepping.clock import StepClock, time_of
 from lierb.kernels.stepping.method import Interval
 from lierb.kernels.systems.layout import Columns
 from lierb.kernels.systems.plan import AnyPlan, LoopPlan, MechanismPlan
-from lierb.kernels.systems.signals import controller_fields, events_of
+from lierb.kernels.systems.signals import controller_fields
 from lierb.kernels.systems.state import EVENT, OK
 from lierb.kernels.systems.system_of import plan_with_derivatives, system_of
 from lierb.kernels.systems.tree_loop_gains import numbers_of_listed
@@ -154,14 +154,14 @@ def rows_of(tag: Adjoint) -> tuple[int, int]:
 
 
 def plan_backwards(ready: Ready) -> AnyPlan | None:
-    """Return the plan of a run's adjoint; None for looped code with rows or events."""
+    """Return the plan of a run's adjoint; None for looped code with rows."""
     if not ready.plan.is_in_memory:
         fields = (f.name for f, _ in ready.inputs.columns if f.name != "state")
         return plan_with_derivatives(ready.plan, tuple(fields))
     plan = plan_with_derivatives(ready.plan, ())
     code = plan.code
     assert isinstance(code, LoopPlan)
-    return None if code.constraint_kinds or events_of(plan) else plan
+    return None if code.constraint_kinds else plan
 
 
 def gains_of(

@@ -7,7 +7,7 @@ import pytest
 from mechanisms.test_tree_loop import SIX, start_of, tree_of
 
 import lierb
-from derivatives.test_adjoint import agree, chain, drive, losses, lost
+from derivatives.test_adjoint import agree, chain, drive, fallen, losses, lost
 from derivatives.test_adjoint_of_controllers import aim, motor, sensor, turn
 from lierb.runs import adjoint
 
@@ -80,6 +80,21 @@ def test_controllers_have_their_adjoint(options):
         controllers=[sensor(every=np.linspace(0.02, 0.05, 5)).on("lower"), motor().on("upper")],
     )  # fmt: skip
     agree(controlled, "aim", CLOSE, **swung(controlled), **options | {"t_end": 0.3})
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("of", ["swing", "energy", "t"])
+def test_terminal_events_have_the_gradients_of_unrolled_code(of):
+    mechanism = chain(events=fallen().on("lower"))
+    run = swung(mechanism, np.linspace(1.0, 3.0, 5)[:, None]) | {"rtol": 1e-8, "t_end": 0.2}
+    found, expected = (
+        lierb.gradient(mechanism, of, **run, solver=solver) for solver in ("looped", "unrolled")
+    )
+    times = lierb.gradient(mechanism, "t", "gravity", **run, solver="looped").value
+    assert times.min() < 0.2 == times.max()  # some go on
+    for name, part in expected.parts.items():
+        size = 1.0 + np.abs(part).max()
+        assert np.abs(found[name] - part).max() < CLOSE * size, name
 
 
 @pytest.mark.slow

@@ -48,22 +48,24 @@ from lierb.kernels.loops.remade_steps import (
     with_start_rank,
 )
 from lierb.kernels.loops.sharing import pack, take_share
-from lierb.kernels.numbers.arithmetic import flatten, load, scatter, where
+from lierb.kernels.numbers.arithmetic import flatten, load, plain, scatter, where
 from lierb.kernels.numbers.dual import Dual, parts_of, value_of, values
 from lierb.kernels.numbers.tape import Tape
 from lierb.kernels.numbers.zero import ZERO, is_zero
-from lierb.kernels.systems.derivatives import in_time
+from lierb.kernels.systems.derivatives import euler_slopes, euler_step, in_time
 from lierb.kernels.systems.extra_states import with_signals
 from lierb.kernels.systems.signals import controllers_of, events_of
 from lierb.kernels.systems.system_of import in_memory, system_of
 from lierb.kernels.tracing.trace import kernel
 
 
-def objective(run: Adjoint, body: Any, held: Held, time: Any) -> tuple[Any, tuple[Any, ...]]:
-    """Return the objective, and the values of all events."""
+def objective(
+    run: Adjoint, body: Any, held: Held, time: Any, is_next: bool = False
+) -> tuple[Any, tuple[Any, ...]]:
+    """Return the objective, and the values of all events.   is_next : at the next state."""
     system, state = system_of(run.plan), held.state
     body = with_signals(run.plan, body, *held)
-    seen = system.motion(body, state, time)
+    seen = system.motion(body, state, time, is_next)
     events = system.events(body, seen, time) if events_of(run.plan) else ()
     if run.objective == END_TIME:
         return time, events
@@ -80,14 +82,15 @@ def start_gains(run: Adjoint, body: Any, held: Held, memory: Any, noted: Noted, 
     """
     gains, time = Gains(run, body, memory), time_at(run, noted, steps)
     held = ticked(run, values(body), held, noted, steps)
-    like = moving(held)[0]
+    like, rate, rates = moving(held)[0], ZERO, list[Any]()
+    if events_of(run.plan):
+        rate, rates = _rates(run, values(body), held, time)
     tape = tape_at(run, like)
     opened = opened_body(tape, body), opened_numbers(tape, held)
     with tape.recording():
         value, events = objective(run, *opened, time)
     results = [(value, 0.0 * like + 1.0)]
     if events:
-        rate, rates = _rates(run, values(body), held, time)
         ended = load(noted.ended_by, (0, noted.column), run.lanes)
         results += [
             (event, where(ended == float(i), -rate / own, 0.0))
@@ -102,12 +105,31 @@ def start_gains(run: Adjoint, body: Any, held: Held, memory: Any, noted: Noted, 
 def _rates(run: Adjoint, body: Any, held: Held, time: Any) -> tuple[Any, list[Any]]:
     """Return the time derivatives of the objective and of all events."""
     like = 0.0 * moving(held)[0]
+    if run.plan.is_looped:
+        return _rates_in_memory(run, body, held, like + time)
     seen = with_signals(run.plan, body, *held)
     moved = in_time(system_of(run.plan), seen, held.state, like + time)
     there = held._replace(state=moved)
     value, events = objective(run, body, there, Dual(like + time, (1.0,)))
     first, *others = (like + (parts_of(x) or (ZERO,))[0] for x in (value, *events))
     return first, others
+
+
+def _rates_in_memory(run: Adjoint, body: Any, held: Held, time: Any) -> tuple[Any, list[Any]]:
+    """Return `_rates` of a looped plan: gains by the length of a step of 0 s, each by a tape."""
+    system, rates = in_memory(run.plan), list[Any]()
+    seen, like = with_signals(run.plan, body, *held), 0.0 * time
+    slopes = euler_slopes(system, seen, held.state, time)
+    for number in range(1 + len(events_of(run.plan))):
+        tape = tape_at(run, like)
+        h = Dual(like, (tape.input(),))
+        with tape.recording():
+            moved = euler_step(system, seen, held.state, slopes, h)
+            there = held._replace(state=moved)
+            first, others = objective(run, body, there, Dual(time, h.parts), is_next=True)
+        rates.append(like + plain(tape.gains([((first, *others)[number], like + 1.0)])[0]))
+        system.clear_gains(body)
+    return rates[0], rates[1:]
 
 
 def step_back(run: Adjoint, body: Any, held: Held, memory: Any, noted: Noted, k: Any) -> None:
