@@ -17,7 +17,7 @@ from collections.abc import Callable
 from typing import Any
 
 from lierb.compiler.code import cached
-from lierb.compiler.loops import integers_at, numbers_at
+from lierb.compiler.loops import integers_at, numbers_at, shared
 from lierb.kernels.loops.gains import (
     END_TIME,
     Adjoint,
@@ -220,6 +220,17 @@ for _formula in (start_gains, step_back, tick_back, start_back, body_back, put_g
     kernel(_formula)
 
 
+@shared
+def steps_of_block(times, steps, column, lanes):
+    """Return the number of steps of a block; later ones have no length.   steps : the most."""
+    while times.shape[1] > 1 and steps > 1:
+        for i in range(column, column + lanes):
+            if times[steps, i] > times[steps - 1, i]:
+                return steps
+        steps -= 1
+    return steps
+
+
 @cached()
 def differentiate_blocks(run, inputs, counter, jobs):
     """Differentiate the runs of all blocks, until no share of blocks is left.
@@ -241,6 +252,7 @@ def differentiate_blocks(run, inputs, counter, jobs):
             break
         for number in range(block, behind):
             column = job.first + number * lanes
+            last = steps_of_block(times, steps, column, lanes)
             noted = Noted(times, ended_by, noise_indices, job.seed, job.dt, column)
             pack(job, inputs, number * lanes, is_new)
             is_new = False
@@ -248,15 +260,15 @@ def differentiate_blocks(run, inputs, counter, jobs):
             first = load_start(run, bodies[0], inputs, noted)
             body, of_inputs = with_start_rank(run, bodies, first)
             held = first
-            for k in range(steps + 1):
+            for k in range(last + 1):
                 if k % every == 0:
                     keep(run, body, held, memory, first_row + rows * (k // every))
-                if k < steps:
+                if k < last:
                     held = step(run, body, held, noted, k)
-            value = start_gains(run, of_inputs, held, memory, noted, steps)
-            for part in range(steps // every, -1, -1):
+            value = start_gains(run, of_inputs, held, memory, noted, last)
+            for part in range(last // every, -1, -1):
                 begin = part * every
-                end = min(begin + every, steps + 1)
+                end = min(begin + every, last + 1)
                 held = kept(run, body, first, memory, first_row + rows * part)
                 for k in range(begin, end):
                     keep(run, body, held, memory, between + rows * (k - begin))
@@ -264,7 +276,7 @@ def differentiate_blocks(run, inputs, counter, jobs):
                         held = step(run, body, held, noted, k)
                 for k in range(end - 1, begin - 1, -1):
                     held = kept(run, body, first, memory, between + rows * (k - begin))
-                    if k < steps:
+                    if k < last:
                         step_back(run, of_inputs, held, memory, noted, k)
                     if is_ticking(run, body, held, noted, k):
                         tick_back(run, of_inputs, held, memory, noted, k)
