@@ -93,13 +93,9 @@ def swinging_chain(count: int, trajectories: int) -> tuple[lierb.Mechanism, dict
 
 
 def ratios(run: Run, parameters: dict[int, list[str]]) -> list[float]:
-    """Return the CPU times with k directions and of the adjoint, as multiples of that without.
-
-    Looped code has no adjoint.
-    """
+    """Return the CPU times with k directions and of the adjoint, as multiples of that without."""
     calls = [partial(run, with_respect_to=names) for names in ((), *parameters.values())]
-    if run.keywords.get("solver") != "looped":
-        calls.append(partial(run, adjoint=True))
+    calls.append(partial(run, adjoint=True))
     for each in calls:
         each()  # compile
     least = [float("inf")] * len(calls)
@@ -116,7 +112,7 @@ def main() -> None:
     print("| | k = 1 | 3 | 12 | adjoint |\n|---|---|---|---|---|")
     for title, (run, parameters) in runs().items():
         cells = [f"{ratio:.1f}" for ratio in ratios(run, parameters)]
-        print(f"| {title} | {' | '.join([*cells, '–'][:4])} |", flush=True)
+        print(f"| {title} | {' | '.join(cells)} |", flush=True)
 
 
 if __name__ == "__main__":

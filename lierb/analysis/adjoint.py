@@ -14,12 +14,12 @@ from lierb.analysis.varied_runs import options_and_threads
 from lierb.api import checked_model, integrate_model, report_start, start_check
 from lierb.errors import ArgumentError, FailedTrajectoryWarning, unknown_name
 from lierb.kernels.loops.gains import END_TIME
-from lierb.kernels.systems.system_of import plan_with_derivatives
+from lierb.kernels.systems.layout import Columns
 from lierb.model.base import Model
 from lierb.model.connections import NOWHERE
 from lierb.model.mechanism.mechanism import Mechanism
 from lierb.model.problem import Problem
-from lierb.runs.adjoint import gains_of
+from lierb.runs.adjoint import gains_of, plan_backwards
 from lierb.runs.derivative_steps import (
     EXAMINED,
     is_examined,
@@ -29,7 +29,8 @@ from lierb.runs.derivative_steps import (
 from lierb.runs.derivatives import fixed_names, obstacles, start_and_inputs, unfit_names
 from lierb.runs.options import Options
 from lierb.runs.parameters import Parameter, chosen_parameters, parameters_by_name, seeds_of
-from lierb.runs.start_directions import Seeds
+from lierb.runs.start_directions import Seeds, Start
+from lierb.runs.start_gains import TreeStart
 from lierb.runs.starts import Ready, ready
 from lierb.runs.stiffness import warn_of_stiff_steps
 from lierb.runs.switches import warn_of_switches
@@ -92,9 +93,10 @@ def gradient(
 ) -> Gradient:
     """Differentiate one number at the end of a run by its start and all numbers of the model.
 
-    The cost is that of three to five runs, whatever the number of parameters. To differentiate by
-    few parameters, or several quantities, use `with_respect_to` of `integrate`. Looped code has no
-    adjoint; there a gradient takes two to three runs for each number of the parameters.
+    The cost is that of three to six runs, whatever the number of parameters. To differentiate by
+    few parameters, or several quantities, use `with_respect_to` of `integrate`. Looped code with
+    closed loops, motors of given speed or constraints has no adjoint; there a gradient takes two to
+    three runs for each number of the parameters.
 
     Parameters
     ----------
@@ -181,15 +183,14 @@ def gradient(
             "go back; begin with a copy of its poses, pose0=pose0.copy()"
         )
     number = _number(model, of)
-    if prepared.plan.is_in_memory:
+    plan = plan_backwards(prepared)
+    if plan is None:
         return _along_directions(model, of, parameters, keywords, pose0, twist0, threads, progress)
     warn_of_switches(model, stacklevel=3)
     warn_of_stiff_steps(prepared, stacklevel=3)
     report_start(prepared, 3)
     start, inputs = start_and_inputs(prepared)
     prepared = prepared._replace(inputs=inputs)
-    fields = [f.name for f, _ in inputs.columns if f.name != "state"]
-    plan = plan_with_derivatives(prepared.plan, tuple(fields))
     gains, ends = gains_of(
         prepared, plan, number, threads, progress, start_check(prepared, 6 + plan.has_lane_clocks)
     )
@@ -210,9 +211,8 @@ def gradient(
             FailedTrajectoryWarning,
             stacklevel=2,
         )
-    with np.errstate(all="ignore"):  # of starts that violate their joints
-        seeds = seeds_of(parameters, start)
-    parts = {p.name: _part(seeds[p.name], p.size, prepared, gains) for p in parameters}
+    tree = TreeStart(start) if plan.is_in_memory else None
+    parts = _parts(parameters, start, tree, inputs.columns, gains)
     return Gradient(of, gains[-1], parts, {p.name: p.unit for p in parameters})
 
 
@@ -251,7 +251,7 @@ def _along_directions(
     threads: int | None,
     progress: Progress,
 ) -> Gradient:
-    """Return the gradient from derivatives along all directions, for looped code."""
+    """Return the gradient from derivatives along all directions, for looped code with loops."""
     if of == ENERGY:
         if any(event.terminal for event in model.events):
             raise ArgumentError(
@@ -268,11 +268,37 @@ def _along_directions(
     return Gradient(of, value, parts, {p.name: p.unit for p in parameters})
 
 
-def _part(seeds: Seeds, size: int, prepared: Ready, gains: Array) -> Array:
+def _parts(
+    parameters: tuple[Parameter, ...],
+    start: Start,
+    tree: TreeStart | None,
+    columns: Columns,
+    gains: Array,
+) -> dict[str, Array]:
+    """Return the derivatives by the numbers of each parameter, (n, k).
+
+    tree : the start, if it may be that of a tree.
+    """
+    moving = [p for p in parameters if tree and tree.moves(p)]
+    by_field = {f.name: gains[at] for f, at in columns}
+    with np.errstate(all="ignore"):  # of starts that violate their joints
+        seeds = seeds_of([p for p in parameters if p not in moving], start)
+        parts = {name: _part(own, by_field) for name, own in seeds.items()}
+        through: dict[str, Array] = {}
+        if tree and any(p.is_start for p in moving):
+            through = tree.gains_of_start(by_field)
+        if tree and not all(p.is_start for p in moving):
+            of_frames = tree.gains_of_frames(by_field)
+            through |= {name: by_field[name] + own for name, own in of_frames.items()}
+        parts |= {p.name: _part(p.seeds(start), through) for p in moving}
+    return {p.name: parts[p.name] for p in parameters}
+
+
+def _part(seeds: Seeds, gains: Mapping[str, Array]) -> Array:
     """Return the derivatives by the numbers of a parameter, (n, k)."""
-    columns, count = prepared.inputs.columns, gains.shape[1]
-    total = np.zeros((count, size))
+    (size, *_), *_ = (array.shape for array in seeds.values())
+    total = np.zeros((len(next(iter(gains.values()))[0]), size))
     for field, array in seeds.items():  # [direction][trajectory or 1][number]
-        for of_number, gain in zip(np.moveaxis(array, -1, 0), gains[columns[field]], strict=True):
+        for of_number, gain in zip(np.moveaxis(array, -1, 0), gains[field], strict=True):
             total += of_number.T * gain[:, None]  # in one order, whatever the batch
     return total

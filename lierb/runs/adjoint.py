@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from typing import Any
 
@@ -18,8 +18,14 @@ from lierb.kernels.loops.remade_steps import begun
 from lierb.kernels.numbers.tape import Tape
 from lierb.kernels.stepping.clock import StepClock, time_of
 from lierb.kernels.stepping.method import Interval
+from lierb.kernels.systems.layout import Columns
+from lierb.kernels.systems.plan import AnyPlan, LoopPlan, MechanismPlan
+from lierb.kernels.systems.signals import controller_fields
 from lierb.kernels.systems.state import EVENT, OK
-from lierb.kernels.systems.system_of import system_of
+from lierb.kernels.systems.system_of import plan_with_derivatives, system_of
+from lierb.kernels.systems.tree_loop_gains import numbers_of_listed
+from lierb.kernels.systems.tree_places import STATE
+from lierb.kernels.systems.tree_table import table_of
 from lierb.runs import engine
 from lierb.runs.derivatives import at_ticks, ending_events
 from lierb.runs.driver import Run, aligned
@@ -52,7 +58,10 @@ class AdjointRun(Run[Any]):
 
     @cached_property
     def tag(self) -> Adjoint:
-        return Adjoint(self.plan, self.number)
+        code = self.plan.code
+        if isinstance(code, LoopPlan):
+            code = replace(code, has_gains=True)
+        return Adjoint(code, self.number)
 
     @property
     def steps(self) -> int:
@@ -84,7 +93,7 @@ class AdjointRun(Run[Any]):
     @cached_property
     def gains(self) -> Array:
         """Gains by the inputs, then the objective, [column][trajectory]."""
-        return np.empty((self.tag.inputs + 1, self.inputs.count))
+        return np.empty((self.inputs.columns["state"].start + 1, self.inputs.count))
 
     @cached_property
     def every(self) -> int:
@@ -94,7 +103,16 @@ class AdjointRun(Run[Any]):
 
     @property
     def rows(self) -> tuple[int, int]:
-        return rows_of(self.tag)
+        """Rows of memory that the gains and a state take."""
+        gains, state = rows_of(self.tag)
+        return gains, state + (int(self.table[0][0, STATE]) if self.table else 0)
+
+    @cached_property
+    def table(self) -> tuple[NDArray[np.int64], int] | None:
+        """Table and number of rows of a looped plan."""
+        plan = self.plan
+        is_looped = isinstance(plan, MechanismPlan) and plan.is_in_memory
+        return table_of(plan, apart=True) if is_looped else None
 
     def memory_of_thread(self) -> dict[str, NDArray[Any]]:
         """Return a thread's memory for gains and states."""
@@ -102,7 +120,11 @@ class AdjointRun(Run[Any]):
         rows = gains + state * (self.steps // self.every + 1 + self.every)
         size = 8 * rows * self.plan.lanes * self.threads
         require_memory(size, "the states of all steps", "lower threads= or take fewer steps")
-        return {"memory": aligned(rows, self.plan.lanes)}
+        memory: dict[str, NDArray[Any]] = {"memory": aligned(rows, self.plan.lanes)}
+        if self.table:
+            numbers = 2 * (self.table[1] + self.inputs.columns["state"].start)
+            memory |= {"table": self.table[0], "nodes": aligned(numbers, self.plan.lanes)}
+        return memory
 
     @cached_property
     def arrays(self) -> dict[str, NDArray[Any]]:
@@ -117,7 +139,11 @@ class AdjointRun(Run[Any]):
 
 @lru_cache(256)
 def rows_of(tag: Adjoint) -> tuple[int, int]:
-    """Return how many rows of memory the gains and a state take."""
+    """Return how many rows of memory the gains and a state take, except for nodes in memory."""
+    if isinstance(tag.plan, LoopPlan):
+        columns = system_of(tag.plan).state, Columns(*controller_fields(tag.plan))
+        numbers = sum(each.count for each in columns)
+        return numbers_of_listed(tag.plan) + numbers, numbers
     system, one = system_of(tag.plain), np.ones(1)
     given = [one] * system.inputs.count
     with np.errstate(all="ignore"):
@@ -125,6 +151,17 @@ def rows_of(tag: Adjoint) -> tuple[int, int]:
         held = begun(tag.plain, system.body(given), given, Interval(one, one, one), one)
     numbers = len(moving(held))
     return tag.inputs + marks(of_inputs) + numbers, numbers
+
+
+def plan_backwards(ready: Ready) -> AnyPlan | None:
+    """Return the plan of a run's adjoint; None for looped code with rows."""
+    if not ready.plan.is_in_memory:
+        fields = (f.name for f, _ in ready.inputs.columns if f.name != "state")
+        return plan_with_derivatives(ready.plan, tuple(fields))
+    plan = plan_with_derivatives(ready.plan, ())
+    code = plan.code
+    assert isinstance(code, LoopPlan)
+    return None if code.constraint_kinds else plan
 
 
 def gains_of(
@@ -139,7 +176,7 @@ def gains_of(
 
     Beside them, the ends of all steps; see `AdjointRun.step_times`.
 
-    plan : of the run, with derivatives of all inputs.   number : see `Adjoint`.
+    plan : `plan_backwards`.   number : see `Adjoint`.
     """
     times, inputs = ready.times, ready.inputs
     if isinstance(times, StepClock):

@@ -344,8 +344,12 @@ def _with_parts(numbers: Vec, changes: Array) -> Vec:
 
 
 def _turned(pose: Pose, change: Array) -> Pose:
-    """Return C exp δ as dual numbers, with derivatives C δ.   change : (directions, n or 1, 6)."""
-    axis = components(change)
+    """Return `turned` for a change (directions, n or 1, 6)."""
+    return turned(pose, components(change))
+
+
+def turned(pose: Pose, axis: Vec) -> Pose:
+    """Return C exp δ as dual numbers, with derivatives C δ.   axis : components of δ."""
     moved = mat_mat(pose[0], skew(axis[:3])) + mat_vec(pose[0], axis[3:])
     numbers = tuple(Dual(x, (part,)) for x, part in zip(sum(pose, ()), moved, strict=True))
     return numbers[:9], numbers[9:]

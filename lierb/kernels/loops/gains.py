@@ -14,6 +14,7 @@ from lierb.kernels.numbers.tape import Tape
 from lierb.kernels.numbers.zero import is_zero
 from lierb.kernels.systems.plan import AnyPlan
 from lierb.kernels.systems.system_of import system_of
+from lierb.kernels.tracing.memory_tape import MemoryTape
 
 Numbers = TypeVar("Numbers", bound=tuple[Any, ...])
 END_TIME = -1  # the time at which an event ends a trajectory, as an objective
@@ -24,8 +25,8 @@ MARK = (1.0,)  # parts of a number of the body that has gains
 class Adjoint(Tag):
     """Tag of the code that differentiates one number at the end of the runs of a plan.
 
-    plan : with derivatives of all inputs.   objective : END_TIME, 0 for the energy, else 1 + the
-    index of an observable.
+    plan : with derivatives of all inputs or, if it is looped, with gains.
+    objective : END_TIME, 0 for the energy, else 1 + the index of an observable.
     """
 
     plan: AnyPlan
@@ -46,9 +47,11 @@ class Adjoint(Tag):
         return self.plan.lanes
 
 
-def tape_at(number: Any) -> Tape:
+def tape_at(run: Adjoint, number: Any) -> Tape:
     """Return the tape of the formula to which a number belongs."""
     trace = class_of(type(number)).trace_of(number)
+    if run.plan.is_looped:
+        return MemoryTape(trace, run.lanes)
     return Tape() if trace is None else trace.tape
 
 
@@ -57,6 +60,13 @@ def marked(body: Any) -> Any:
     if isinstance(body, tuple):
         return alike(body, map(marked, body))
     return Dual(value_of(body), MARK) if parts_of(body) else value_of(body)
+
+
+def with_all_marked(numbers: Any) -> Any:
+    """Mark all numbers that are no constants."""
+    if isinstance(numbers, tuple):
+        return alike(numbers, map(with_all_marked, numbers))
+    return numbers if is_constant(numbers) else Dual(numbers, MARK)
 
 
 def opened_body(tape: Tape, body: Any) -> Any:

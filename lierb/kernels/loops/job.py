@@ -37,6 +37,7 @@ ARRAYS = {
     "inputs": "[thread][column][lane], where each thread gathers a block's numbers",
     "table": "int64, [1][`lierb.kernels.systems.tree_table`], for a looped plan",
     "memory": "[row][lane] of a thread, for a looped plan or `lierb.kernels.loops.adjoint`",
+    "nodes": "[row][lane] of a thread, for a looped plan that is differentiated backwards",
     "step_times": "[step and end][trajectory or 1], s, of steps that are made again",
     "ended_by": "[which][trajectory], see `lierb.kernels.loops.remade_steps.Noted`",
     "gains": "[column of inputs, then the objective][trajectory]",

@@ -5,7 +5,14 @@ from __future__ import annotations
 from itertools import count
 from typing import Any, NamedTuple
 
-from lierb.kernels.loops.gains import Adjoint, is_constant, marked, moving, tape_at
+from lierb.kernels.loops.gains import (
+    Adjoint,
+    is_constant,
+    marked,
+    moving,
+    tape_at,
+    with_all_marked,
+)
 from lierb.kernels.loops.lane_steps import interval_of
 from lierb.kernels.loops.record import load_values
 from lierb.kernels.loops.ticks import controlled, first_control, is_any_due
@@ -30,7 +37,7 @@ from lierb.kernels.systems.extra_states import Control, with_initial_states, wit
 from lierb.kernels.systems.plan import AnyPlan
 from lierb.kernels.systems.signals import controllers_of
 from lierb.kernels.systems.state import State
-from lierb.kernels.systems.system_of import system_of
+from lierb.kernels.systems.system_of import in_memory, system_of
 from lierb.kernels.tracing.trace import kernel
 
 
@@ -78,10 +85,19 @@ def interval_at(run: Adjoint, noted: Noted, k: Any) -> Interval:
 # ---- start ----
 
 
-def load_bodies(run: Adjoint, inputs: Any) -> tuple[Any, Any]:
-    """Return the body, and with marks in place of derivatives."""
+def load_bodies(run: Adjoint, inputs: Any, table: Any, nodes: Any) -> tuple[Any, Any]:
+    """Return the body, and with marks in place of derivatives.
+
+    table, nodes : of a looped plan, whose gains are cleared.
+    """
+    if run.plan.is_looped:
+        system = in_memory(run.plan)
+        body = system.loaded(inputs, table, nodes)
+        system.clear_gains(body)
+        listed = with_all_marked((body.elements, body.frames))
+        return body, body._replace(elements=listed[0], frames=listed[1])
     numbers = load_values(run.plain, inputs)
-    tape = tape_at(numbers[0])
+    tape = tape_at(run, numbers[0])
     return (
         system_of(run.plain).body(numbers),
         marked(system_of(run.plan).body(tape.opened(numbers))),
@@ -89,7 +105,10 @@ def load_bodies(run: Adjoint, inputs: Any) -> tuple[Any, Any]:
 
 
 def load_start(run: Adjoint, body: Any, inputs: Any, noted: Noted) -> Held:
-    return begun(run.plain, body, load_values(run.plain, inputs), *first_step(run, noted))
+    given = inputs if run.plan.is_looped else load_values(run.plain, inputs)
+    held = begun(run.plain, body, given, *first_step(run, noted))
+    go_ahead(run, body)
+    return held
 
 
 def with_start_rank(run: Adjoint, bodies: tuple[Any, Any], held: Held) -> tuple[Any, Any]:
@@ -99,10 +118,17 @@ def with_start_rank(run: Adjoint, bodies: tuple[Any, Any], held: Held) -> tuple[
     return body._replace(dropped=dropped), of_inputs._replace(dropped=dropped)
 
 
-def begun(plan: AnyPlan, body: Any, numbers: list[Any], at: Interval, time: Any) -> Held:
-    """Return the start, at a time, before the first tick.   at : interval of the first step."""
+def begun(plan: AnyPlan, body: Any, given: Any, at: Interval, time: Any) -> Held:
+    """Return the start, at a time, before the first tick.
+
+    given : numbers of the inputs or, for a looped plan, their array.   at : interval of the first
+    step.
+    """
     system, zero = system_of(plan), 0.0 * body.mass
-    state = system.start(body, system.placed(body, numbers), numbers)
+    if plan.is_looped:
+        state = in_memory(plan).started(body, given)
+    else:
+        state = system.start(body, system.placed(body, given), given)
     state = with_initial_states(system, body, state, zero)
     if state.carried:
         state = method_of(plan).started(system, body, state, at)
@@ -120,7 +146,15 @@ def first_step(run: Adjoint, noted: Noted) -> tuple[Interval, Any]:
 def step(run: Adjoint, body: Any, held: Held, noted: Noted, k: Any) -> Held:
     """Make the ticks at the start of step k, then the step; the state is NaN where it fails."""
     held = ticked(run, body, held, noted, k)
-    return stepped(run.plain, body, held, interval_at(run, noted, k))
+    held = stepped(run.plain, body, held, interval_at(run, noted, k))
+    go_ahead(run, body)
+    return held
+
+
+def go_ahead(run: Adjoint, body: Any) -> None:
+    """Make the next state in memory the state."""
+    if run.plan.is_looped:
+        in_memory(run.plan).go_ahead(body)
 
 
 def stepped(plan: AnyPlan, body: Any, held: Held, at: Interval) -> Held:
@@ -176,20 +210,26 @@ def called(run: Adjoint, plan: AnyPlan, body: Any, held: Held, noted: Noted, k: 
 # ---- a trajectory in memory ----
 
 
-def keep(run: Adjoint, held: Held, memory: Any, row: Any) -> None:
+def keep(run: Adjoint, body: Any, held: Held, memory: Any, row: Any) -> None:
     """Keep a trajectory in rows of the memory, from `row` on."""
-    for i, x in enumerate(moving(held)):
+    numbers = moving(held)
+    for i, x in enumerate(numbers):
         store(memory, (row + i, 0), x, run.lanes)
+    if run.plan.is_looped:
+        in_memory(run.plan).keep(body, memory, row + len(numbers))
 
 
-def kept(run: Adjoint, like: Held, memory: Any, row: Any) -> Held:
+def kept(run: Adjoint, body: Any, like: Held, memory: Any, row: Any) -> Held:
     """Return a trajectory that is kept.   like : another one."""
     rows = count()
     numbers = (
         x if is_constant(x) else load(memory, (row + next(rows), 0), run.lanes)
         for x in flatten(like)
     )
-    return refilled(like, numbers)
+    held = refilled(like, numbers)
+    if run.plan.is_looped:
+        in_memory(run.plan).take_kept(body, memory, row + next(rows))
+    return held
 
 
 for _formula in (load_bodies, load_start, with_start_rank, step, is_ticking, keep, kept):

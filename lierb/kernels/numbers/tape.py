@@ -12,6 +12,7 @@ Griewank and Walther, Evaluating Derivatives (2008), chapter 6.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
+from contextlib import AbstractContextManager, nullcontext
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -19,6 +20,13 @@ from lierb.kernels.numbers.arithmetic import fma, for_rows, where
 from lierb.kernels.numbers.dual import Dual, parts_of
 from lierb.kernels.numbers.number import Number
 from lierb.kernels.numbers.zero import ZERO, is_zero
+
+
+class Gained(dict[int, Any]):
+    """Gains of an objective, by places on a tape."""
+
+    def add(self, place: int, gain: Any) -> None:
+        self[place] = self[place] + gain if place in self else gain
 
 
 class Operation(NamedTuple):
@@ -42,13 +50,38 @@ class Operation(NamedTuple):
             return fma(factor, known[x], known[y])
         return known[x] + known[y] if second is None else known[x] - known[y]
 
+    def back(self, place: int, gained: Gained) -> None:
+        """Add the gain by the result to those by the numbers in the operation."""
+        terms, mask = self
+        if place not in gained or not terms:
+            return
+        gain = gained.pop(place)
+        if mask is not None:
+            (_, first), (_, second) = terms
+            if first >= 0:
+                gained.add(first, where(mask, gain, 0.0))
+            if second >= 0:
+                gained.add(second, where(mask, 0.0, gain))
+            return
+        for factor, x in terms:
+            if factor is None:
+                gained.add(x, gain)
+            elif x in gained:
+                gained[x] = fma(factor, gain, gained[x])
+            else:
+                gained.add(x, factor * gain)
+
 
 class Tape:
     """A tape has inputs, numbered in the order of their making, and operations."""
 
     def __init__(self) -> None:
-        self.operations: list[Operation] = []
+        self.operations: list[Any] = []  # `Operation`s, or others with a method `back`
         self.inputs: list[int] = []  # places
+
+    def recording(self) -> AbstractContextManager[None]:
+        """Return a context in which a formula is recorded."""
+        return nullcontext()
 
     def input(self) -> Linear:
         """Return the next input."""
@@ -65,35 +98,18 @@ class Tape:
 
         results : numbers of the formula, each with the objective's gain by it.
         """
-        gained: dict[int, Any] = {}
-
-        def add(place: int, gain: Any) -> None:
-            gained[place] = gained[place] + gain if place in gained else gain
-
+        gained = Gained()
         for number, gain in results:
             for part in parts_of(number):
                 if isinstance(part, Linear):
-                    add(part.place, gain)
-        for place in range(len(self.operations) - 1, -1, -1):
-            terms, mask = self.operations[place]
-            if place not in gained or not terms:
-                continue
-            gain = gained.pop(place)
-            if mask is not None:
-                (_, first), (_, second) = terms
-                if first >= 0:
-                    add(first, where(mask, gain, 0.0))
-                if second >= 0:
-                    add(second, where(mask, 0.0, gain))
-                continue
-            for factor, x in terms:
-                if factor is None:
-                    add(x, gain)
-                elif x in gained:
-                    gained[x] = fma(factor, gain, gained[x])
-                else:
-                    add(x, factor * gain)
+                    gained.add(part.place, gain)
+        self.give_back(gained)
         return [gained.get(place, ZERO) for place in self.inputs]
+
+    def give_back(self, gained: Gained, first: int = 0) -> None:
+        """Turn gains by results of operations, from number `first` on, into those by the others."""
+        for place in range(len(self.operations) - 1, first - 1, -1):
+            self.operations[place].back(place, gained)
 
     def derivatives(
         self, results: list[Linear], rows: list[tuple[Any, ...]], like: Number

@@ -154,10 +154,18 @@ def in_time(system: Any, body: Any, state: State, time: Any, directions: int = 1
 
     body, state : without derivatives.   directions : number of parts; others are zero.
     """
+    slopes = euler_slopes(system, body, state, time)
+    h = Dual(0.0 * time, (1.0, *(0.0,) * (directions - 1)))
+    return euler_step(system, body, state, slopes, h)
+
+
+def euler_slopes(system: Any, body: Any, state: State, time: Any) -> Slopes:
+    """Return the slopes of an explicit Euler step."""
     still = system.combine(body, state, (), Slopes(), Units(0.0, 0.0, 0.0))
     rates = system.stage_rates(body, still, system.chart_gravity(body, state.chart), time)
-    h = Dual(0.0 * time, (1.0, *(0.0,) * (directions - 1)))
-    moved: State = system.combine(
-        body, state, (1.0,), Slopes().with_stage(rates), Units(0.5 * h, h, h)
-    )
+    return Slopes().with_stage(rates)
+
+
+def euler_step(system: Any, body: Any, state: State, slopes: Slopes, h: Any) -> State:
+    moved: State = system.combine(body, state, (1.0,), slopes, Units(0.5 * h, h, h))
     return system.move(body, moved)

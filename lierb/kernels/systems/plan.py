@@ -216,6 +216,7 @@ class LoopPlan(AnyPlan):
     `lierb.kernels.systems.tree_table` describes the tree at run time.
 
     elements : one of each kind that acts, then all listed ones; see `Element.is_listed`.
+    has_gains : True if each number in memory has the gain of an objective beside it.
     listed_kinds : kinds of the elements that the code has one by one; see `MechanismPlan.listed`.
     """
 
@@ -225,8 +226,14 @@ class LoopPlan(AnyPlan):
     listed_kinds: tuple[ElementKind, ...] = ()
     constraint_kinds: tuple[ConstraintKind, ...] = ()
     stabilisation: Stabilisation = UNSTABILISED
+    has_gains: bool = False
 
     is_looped = True
+
+    @property
+    def packs(self) -> int:
+        """Number of packs of a row of memory."""
+        return 1 + self.directions + self.has_gains
 
     @property
     def keeps_rank(self) -> bool:

@@ -26,7 +26,7 @@ from lierb.kernels.systems.measures import JOINT_ERRORS, JOINT_KEPT
 from lierb.kernels.systems.observables import observables_of
 from lierb.kernels.systems.signals import events_of, signals_width
 from lierb.kernels.systems.state import State
-from lierb.kernels.systems.tree_loop_forces import LoopForces
+from lierb.kernels.systems.tree_loop_gains import LoopGains
 from lierb.kernels.systems.tree_memory import LoopBody, MemoryNode, MemoryTree
 from lierb.kernels.tracing.arrays import Index
 from lierb.kernels.tracing.memory import for_each
@@ -34,7 +34,7 @@ from lierb.kernels.tracing.memory import for_each
 PLACES = ("table", "memory")  # addresses of a `LoopBody`
 
 
-class TreeLoop(LoopForces):
+class TreeLoop(LoopGains):
     """A `lierb.kernels.systems.system.System`: a mechanism whose nodes are in memory."""
 
     def store_errors(

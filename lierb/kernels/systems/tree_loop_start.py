@@ -14,7 +14,7 @@ from lierb.kernels.mechanics import subgroup, tree_nodes
 from lierb.kernels.mechanics.saddle import LIGHTEST
 from lierb.kernels.mechanics.spatial import Pose, Rigid, twist_at
 from lierb.kernels.mechanics.tree import FREE, GROUND, HERE, Node, NodeConstants
-from lierb.kernels.mechanics.tree_nodes import MOTION, JointKind, Kind
+from lierb.kernels.mechanics.tree_nodes import JointKind, Kind
 from lierb.kernels.numbers.arithmetic import flatten, fma, load, sqrt, where
 from lierb.kernels.numbers.dual import Dual
 from lierb.kernels.numbers.vec import IDENTITY, ZERO3, ZERO6, ZERO9, Vec, dot, norm, sub
@@ -176,7 +176,10 @@ class LoopStart(TreeInMemory, CheckedStarts):
     def started(self, body: LoopBody, inputs: Any) -> State:
         """Store the start, from poses and twists in the user's frames; return its `State`."""
         tree = self._tree(body)
-        seats = at.MOTION_ROW  # place and twist of each node, where motions are stored later
+
+        def seat_of(node: MemoryNode) -> Rows:
+            """Return rows for place and twist of a node, where its `pulls` are stored later."""
+            return node.motion.at(tree.index(tree_nodes.PULLS))
 
         def given(node: MemoryNode) -> None:
             first = tree[at.START_COLUMN] + node.entry(at.LINK) * WIDTHS[2]
@@ -184,14 +187,14 @@ class LoopStart(TreeInMemory, CheckedStarts):
             read = {f"0.{name}": part for name, part in parts.items()}
             frame = tree_nodes.frame_of(node.details)
             place, twist = given_start(frame, read, 0)
-            node.part(seats, MOTION).put(0, *place[0], *place[1], *twist)
+            seat_of(node).put(0, *place[0], *place[1], *twist)
 
         tree.for_nodes(given)
-        tree.ground.part(seats, MOTION).put(0, *IDENTITY, *ZERO3, *ZERO6)
+        seat_of(tree.ground).put(0, *IDENTITY, *ZERO3, *ZERO6)
 
         def relative(node: MemoryNode) -> None:
             base = tree.node(node.entry(at.BASE))
-            own, outer = node.part(seats, MOTION), base.above
+            own, outer = seat_of(node), seat_of(base.parent)
             outside = outer[0:9], outer[9:12]
             seat = se3.compose(se3.inverse(outside), (own[0:9], own[9:12]))
             moving = sub(own[12:18], twist_at(seat, outer[12:18]))
@@ -218,8 +221,6 @@ class LoopStart(TreeInMemory, CheckedStarts):
             node.each_joint(do)
 
         tree.for_nodes(relative)
-        constants, motion = tree.ground.constants, tree.ground.motion
-        tree_nodes.set_ground(constants[0:3], motion, tree.ground.details)
         return self._begun(body)
 
     def resumed(self, body: LoopBody, inputs: Any) -> State:

@@ -23,6 +23,7 @@ from lierb.kernels.mechanics.tree_connections import FRAME_ROWS, Connected, Fram
 from lierb.kernels.mechanics.tree_nodes import CONSTANTS, DETAILS, MOTION, JointKind, Kind
 from lierb.kernels.numbers.arithmetic import flatten, refilled
 from lierb.kernels.numbers.dual import Dual, parts_of
+from lierb.kernels.numbers.tape import Linear
 from lierb.kernels.numbers.vec import Vec, add
 from lierb.kernels.numbers.zero import ZERO, is_zero
 from lierb.kernels.systems import tree_places as at
@@ -260,7 +261,12 @@ class MemoryTree:
         return integer_at(self.table, name)
 
     def rows(self, first: Index | int) -> Rows:
-        return Rows(self.memory, self.plan.lanes, first, 1 + self.plan.directions, self.parts)
+        return Rows(self.memory, self.plan.lanes, first, self.plan.packs, self.parts)
+
+    def gains(self, first: Index | int) -> Rows:
+        """Gains of the rows from `first` on."""
+        memory = self.memory + 8 * self.plan.lanes
+        return Rows(memory, self.plan.lanes, first, self.plan.packs)
 
     def packs(self, first: Index) -> Rows:
         """Rows from `first` on, each pack of which is a row."""
@@ -374,5 +380,7 @@ class TreeInMemory(PassiveElements):
         """Return an operand with all lanes."""
         if isinstance(x, Dual):
             value = self._widened(x.value)
+            if any(isinstance(part, Linear) for part in x.parts):
+                return Dual(value, x.parts)
             return Dual(value, tuple(self._widened(0.0 * value + part) for part in x.parts))
         return x.widened(self.plan.lanes) if isinstance(x, Lane) else x

@@ -29,8 +29,11 @@ from lierb.kernels.systems.tree_inputs import first_of_joint, inputs_of, state_c
 
 
 @lru_cache(64)
-def table_of(plan: MechanismPlan) -> tuple[NDArray[np.int64], int]:
-    """Return a plan's table, and the number of rows of a thread's memory."""
+def table_of(plan: MechanismPlan, apart: bool = False) -> tuple[NDArray[np.int64], int]:
+    """Return a plan's table, and the number of rows of a thread's memory.
+
+    apart : True if what each node passes on has rows of its own, and so has the next state.
+    """
     count, joints = len(plan.tree), [joint_kind_of(plan, i) for i in range(len(plan.tree))]
     kinds = [joint.kind for joint in joints]
     freedoms, charts = (sum(x) for x in zip(*((k.freedoms, len(k.chart_rows)) for k in kinds)))
@@ -53,11 +56,12 @@ def table_of(plan: MechanismPlan) -> tuple[NDArray[np.int64], int]:
         seeded + state[name].start for name in ("charts", "v", "states")
     ]
     nodes = np.zeros((count + 1, at.TABLE), np.int64)
-    slots, errors = _slots(plan, nodes), len(plan.joints)
+    slots, errors = _slots(plan, nodes, apart), len(plan.joints)
+    has_next = plan.has_lane_clocks or apart
     slopes = freedoms * (slopes_of(plan) + 1)
     elements, rows = elements_of(plan)
     constraints = constraints_of(plan, [kind.freedoms for kind in kinds])
-    ahead = (charts + freedoms) * plan.has_lane_clocks
+    ahead = (charts + freedoms) * has_next
     sizes = {
         at.CONSTANTS_ROW: (count + 1) * CONSTANTS, at.DETAILS_ROW: (count + 1) * DETAILS,
         at.CHART_ROW: charts, at.V_ROW: freedoms, at.KEPT_ROW: len(JOINT_KEPT) * errors,
@@ -74,7 +78,7 @@ def table_of(plan: MechanismPlan) -> tuple[NDArray[np.int64], int]:
         header[section], end = end, end + size
     header[at.MEMORY] = end
     header[at.STATE] = charts + freedoms
-    header[at.AHEAD] = header[at.AHEAD] - header[at.CHART_ROW] if plan.has_lane_clocks else 0
+    header[at.AHEAD] = header[at.AHEAD] - header[at.CHART_ROW] if has_next else 0
     header[at.END_COLUMNS] = sum(map(sum, map(_stored, kinds))) + extra
     header[at.LANE_COLUMN] = seeded + state.count
     header[at.STATE_ROWS] = charts + freedoms + sizes[at.KEPT_ROW]
@@ -140,11 +144,11 @@ def _stored(kind: Kind) -> tuple[int, int]:
     return some[0], some[1]
 
 
-def _slots(plan: MechanismPlan, nodes: NDArray[np.int64]) -> int:
+def _slots(plan: MechanismPlan, nodes: NDArray[np.int64], apart: bool) -> int:
     """Assign to each node a slot for what it passes on; return the number of slots.
 
     A node takes over the slot of its first child, so that few slots suffice, which stay in the
-    cache. Slot 0 remains zero, for nodes without children.
+    cache. Slot 0 remains zero, for nodes without children.   apart : see `table_of`.
     """
     children: list[list[int]] = [[] for _ in nodes]
     for i, node in enumerate(plan.tree, 1):
@@ -152,14 +156,13 @@ def _slots(plan: MechanismPlan, nodes: NDArray[np.int64]) -> int:
     known, unused = 0, list[int]()
     for i in range(len(plan.tree), 0, -1):
         if children[i]:
-            first = nodes[children[i][0], at.PASSES]
-            nodes[i, [at.PASSES, at.CHILDREN]] = first
-        else:
+            nodes[i, [at.PASSES, at.CHILDREN]] = nodes[children[i][0], at.PASSES]
+        if apart or not children[i]:
             known += not unused
             nodes[i, at.PASSES] = unused.pop() if unused else known
         parent = plan.tree[i - 1].parent + 1
         later = [k for k in children[parent] if k > i]
         if later and parent:
             nodes[i, at.SIBLING] = nodes[later[0], at.PASSES]
-            unused.append(int(nodes[later[0], at.PASSES]))
+            unused += [int(nodes[later[0], at.PASSES])] * (not apart)
     return known + 1

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from copy import copy
+from functools import partial
 from itertools import islice
 from typing import Any
 
@@ -18,6 +19,7 @@ from lierb.kernels.numbers.arithmetic import plain
 from lierb.kernels.numbers.dual import Dual, parts_of, value_of
 from lierb.kernels.tracing.arrays import Index
 from lierb.kernels.tracing.lanes import Lane, Trace, constant_of, pack_of, value_as
+from lierb.kernels.tracing.memory_tape import MemoryTape, Procedure, open_tape
 
 LINE = 64  # bytes; rows start at a multiple of it or, if they are shorter, of their own length
 
@@ -29,6 +31,8 @@ class Rows:
 
     packs : packs of a row: a number, and its derivatives if the memory has them.
     parts : derivatives that are read and written, packs − 1, or 0 for the numbers alone.
+
+    An open `MemoryTape` takes the second pack of a row as its gain.
     """
 
     def __init__(
@@ -58,8 +62,15 @@ class Rows:
     def __getitem__(self, row: Any) -> Any:
         if isinstance(row, slice):
             return tuple(self[i] for i in range(row.start, row.stop))
+        if self.packs > 1 and (tape := open_tape(self.trace)):
+            return tape.loaded(self._load(row, 0), self._at(self.start, row, 1))
         value, *parts = (self._load(row, part) for part in range(1 + self.parts))
         return Dual(value, tuple(parts)) if parts else value
+
+    def beside(self, row: Index | int, number: Lane) -> Any:
+        """Return a number from elsewhere, of which the row has the gain."""
+        tape = open_tape(self.trace)
+        return tape.loaded(number, self._at(self.start, row, 1)) if tape else number
 
     @property
     def zero(self) -> Any:
@@ -69,7 +80,12 @@ class Rows:
 
     def put(self, row: Index | int, *numbers: Any) -> None:
         """Store numbers in successive rows."""
+        tape = open_tape(self.trace) if self.packs > 1 else None
         for i, number in enumerate(numbers):
+            if tape:
+                tape.stored(number, self._at(self.start, row + i, 1))
+                if not tape.runs:
+                    continue
             for part, member in enumerate(_members(number, self.parts)):
                 value = value_as(self.pack, plain(member))
                 place = self._at(self.start, row + i, part)
@@ -91,6 +107,10 @@ def integer_at(table: Index, place: Index | int) -> Index:
 
 def for_each(count: Index, do: Callable[[Index], None], backward: bool = False) -> None:
     """Emit a loop that runs `do` for 0 … count − 1."""
+    if tape := open_tape(count.trace):
+        run, back = (partial(for_each, count, backward=x) for x in (backward, not backward))
+        tape.note(do, run, back)
+        return
     with cgutils.for_range(count.builder, count.value) as loop:
         i = Index(count.trace, loop.index)
         do(count + i * -1 + -1 if backward else i)
@@ -126,6 +146,9 @@ def accumulated(
 
 def switch(kind: Index, cases: Sequence[Any], do: Callable[[Any], None]) -> None:
     """Emit a switch that runs do(cases[kind]), for an integer that is known at run time."""
+    if tape := open_tape(kind.trace):
+        tape.note(do, partial(switch, kind, cases))
+        return
     builder = kind.builder
     *others, last = [builder.append_basic_block("case") for _ in cases]
     end = builder.append_basic_block("switched")
@@ -141,6 +164,9 @@ def switch(kind: Index, cases: Sequence[Any], do: Callable[[Any], None]) -> None
 
 def if_not_zero(number: Index, do: Callable[[], None]) -> None:
     """Emit a branch that runs `do` where an integer is not 0."""
+    if tape := open_tape(number.trace):
+        tape.note(do, partial(if_not_zero, number))
+        return
     is_some = number.builder.icmp_signed("!=", number.value, number.value.type(0))
     with number.builder.if_then(is_some, likely=True):
         do()
@@ -153,6 +179,9 @@ def procedure(name: str, formula: Callable[..., None], *operands: Any) -> None:
     operands : integers, packs, and dual numbers of packs.
     """
     trace, sizes = operands[0].trace, [len(parts_of(x)) for x in operands]
+    if tape := open_tape(trace):
+        _note_procedure(tape, name, formula, operands)
+        return
     members = [m for x, size in zip(operands, sizes, strict=True) for m in _members(x, size)]
     module = trace.builder.module
     if name not in module.globals:
@@ -170,3 +199,27 @@ def procedure(name: str, formula: Callable[..., None], *operands: Any) -> None:
         formula(*(Dual(x, parts) if parts else x for x, parts in whole))
         own.builder.ret_void()
     trace.builder.call(module.globals[name], [x.value for x in members])
+
+
+def _note_procedure(
+    tape: MemoryTape, name: str, formula: Callable[..., None], operands: tuple[Any, ...]
+) -> None:
+    """Note a call of formula(*operands) on a tape."""
+    own = [value_of(x) for x in operands]
+    is_linear = [bool(parts_of(x)) for x in operands]
+
+    def transposed(*numbers: Any) -> None:
+        *given, address = numbers
+        inner = MemoryTape(address.trace, tape.lanes, runs=False)
+        pairs = zip(given, is_linear, strict=True)
+        opened = [Dual(x, (inner.input(),)) if linear else x for x, linear in pairs]
+        with inner.recording():
+            formula(*opened)
+        Rows(address, tape.lanes).put(0, *inner.gains(()))
+
+    def transpose(slots: Any) -> None:
+        address = tape.trace.builder.ptrtoint(slots, operands[0].value.type)
+        procedure(f"{name}.transposed", transposed, *own, Index(tape.trace, address))
+
+    linear = [part.place for x in operands for part in parts_of(x)]
+    tape.note_code(Procedure(tape, lambda: procedure(name, formula, *own), transpose, linear))
