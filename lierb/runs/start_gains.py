@@ -161,7 +161,7 @@ class TreeStart:
             units = np.zeros((6, ends[-1], self.count))
             units[:, first : first + own.shape[1]] = own.T
             relative.append(tuple(units))
-        return np.moveaxis(np.stack([x for twist in self._twists(relative) for x in twist]), -1, 0)
+        return _by_trajectory([x for twist in self._twists(relative) for x in twist])
 
     @cached_property
     def _metrics(self) -> list[Array]:
@@ -172,7 +172,7 @@ class TreeStart:
             moving = cross_add(twist[:3], metric.com, twist[3:])
             y = metric(twist[:3], moving)
             rows = [np.broadcast_to(x, (6, self.count)) for x in y]
-            matrices.append(np.moveaxis(np.stack(rows), -1, 0))
+            matrices.append(_by_trajectory(rows))
         return matrices
 
 
@@ -191,7 +191,13 @@ class _RecordedFrames(Frames):
 
 
 def _times(matrix: Array, vector: Array) -> Array:
-    return np.asarray((matrix @ vector[..., None])[..., 0])
+    """Return products of which no bit depends on the number of trajectories."""
+    return np.asarray((matrix @ np.ascontiguousarray(vector)[..., None])[..., 0])
+
+
+def _by_trajectory(rows: Sequence[Array]) -> Array:
+    """Return matrices, of which NumPy multiplies each by the same code, from rows (k, n)."""
+    return np.ascontiguousarray(np.moveaxis(np.stack(rows), -1, 0))
 
 
 def _stacked(numbers: Sequence, count: int) -> Array:

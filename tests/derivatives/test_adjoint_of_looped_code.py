@@ -122,3 +122,18 @@ def test_a_failed_trajectory_leaves_the_others_alone():
     assert np.array_equal(found["gravity"][0], alone["gravity"][0])
     again = lierb.gradient(mechanism, "swing", "gravity", **swung(mechanism) | STEPS)
     assert are_equal(alone, again)
+
+
+@pytest.mark.slow
+def test_a_start_has_the_same_bits_in_a_batch_of_any_size():
+    mechanism = tree_of(("revolute", "universal", "spherical"))
+    start = start_of(mechanism, count=5)
+    mechanism = lierb.Mechanism(
+        mechanism.links, gravity=mechanism.gravity, observables=reached().on("link2")
+    )
+    names = [f"link{i}.{name}" for i in range(3) for name in ("pose0", "twist0")]
+    whole = lierb.gradient(mechanism, "reached", names, **start, **STEPS)
+    for count in (1, 2):
+        some = {key: {link: x[:count] for link, x in own.items()} for key, own in start.items()}
+        found = lierb.gradient(mechanism, "reached", names, **some, **STEPS)
+        assert all(np.array_equal(found[name], whole[name][:count]) for name in names)
