@@ -29,6 +29,11 @@ def reached(r, omega):
     return r[0] + 0.3 * r[2] * omega[1]
 
 
+@lierb.wrench(pull=3.0)
+def above(t, R, r, omega, v, params):
+    return (0.0, 0.0, 0.0), (0.0, 0.0, params.pull * lierb.where(r[2] > 0.0, r[2] ** 1.5, 0.0))
+
+
 def tree(**more) -> lierb.Mechanism:
     """Six joints on branches, with forces between links, at joints and on the ground."""
     given = {"forces": FORCES, "observables": reached().on("link5")} | more
@@ -137,3 +142,17 @@ def test_a_start_has_the_same_bits_in_a_batch_of_any_size():
         some = {key: {link: x[:count] for link, x in own.items()} for key, own in start.items()}
         found = lierb.gradient(mechanism, "reached", names, **some, **STEPS)
         assert all(np.array_equal(found[name], whole[name][:count]) for name in names)
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::lierb.errors.DerivativeWarning")
+@pytest.mark.parametrize("options", [STEPS, pytest.param(ADAPTIVE, marks=pytest.mark.long)])
+@pytest.mark.parametrize("solver", ["looped", "unrolled"])
+def test_what_is_not_chosen_may_have_no_derivative(solver, options):
+    mechanism, names = chain(forces=above().on("lower")), ("gravity", "lower.above.pull")
+    run = swung(mechanism, np.array((-1.0, 0.0, 1.0))[:, None]) | options  # below, and above 0
+    found = lierb.gradient(mechanism, "swing", names, **run | {"solver": solver})
+    forwards = lierb.integrate(mechanism, with_respect_to=names, **run)
+    assert 0 < np.count_nonzero(found["lower.above.pull"]) < 3
+    for name in names:
+        assert found[name] == pytest.approx(forwards.sensitivity("swing", name), abs=1e-12)

@@ -28,7 +28,7 @@ from lierb.kernels.numbers.arithmetic import (
     store,
     where,
 )
-from lierb.kernels.numbers.dual import value_of, values
+from lierb.kernels.numbers.dual import Dual, side_by_side, value_of, values
 from lierb.kernels.numbers.zero import is_zero
 from lierb.kernels.stepping.lane_clock import Trial
 from lierb.kernels.stepping.method import Interval
@@ -166,8 +166,18 @@ def stepped(plan: AnyPlan, body: Any, held: Held, at: Interval) -> Held:
     if plan.has_lane_clocks:  # trajectories that have ended stay
         pairs = zip(flatten(moved), flatten(state), strict=True)
         has_ended = at.h == 0.0
-        moved = refilled(state, (x if is_constant(y) else where(has_ended, y, x) for x, y in pairs))
+        moved = refilled(
+            state, (x if is_constant(y) else _chosen(has_ended, y, x) for x, y in pairs)
+        )
     return held._replace(state=moved)
+
+
+def _chosen(mask: Any, a: Any, b: Any) -> Any:
+    """Return `where`, of which a tape records a sum: a whole step is no choice."""
+    value = where(mask, value_of(a), value_of(b))
+    share = where(mask, 1.0, 0.0 * value_of(a))
+    parts = tuple(p * share + q * (1.0 - share) for p, q in side_by_side(a, b))
+    return Dual(value, parts) if parts else value
 
 
 # ---- ticks ----

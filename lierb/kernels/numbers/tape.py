@@ -23,10 +23,26 @@ from lierb.kernels.numbers.zero import ZERO, is_zero
 
 
 class Gained(dict[int, Any]):
-    """Gains of an objective, by places on a tape."""
+    """Gains of an objective, by places on a tape.
 
-    def add(self, place: int, gain: Any) -> None:
-        self[place] = self[place] + gain if place in self else gain
+    of_choices : places of numbers that only choices lead on. Where they are not chosen, their gain
+    is zero, and what they are computed from may be anything: √x where x < 0.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.of_choices = set[int]()
+
+    def add(self, place: int, gain: Any, is_of_choice: bool = False) -> None:
+        self.put(place, self[place] + gain if place in self else gain, is_of_choice)
+
+    def put(self, place: int, gain: Any, is_of_choice: bool) -> None:
+        """Replace a gain by its sum with another one, which is of a choice or not."""
+        if not is_of_choice:
+            self.of_choices.discard(place)
+        elif place not in self:
+            self.of_choices.add(place)
+        self[place] = gain
 
 
 class Operation(NamedTuple):
@@ -55,21 +71,22 @@ class Operation(NamedTuple):
         terms, mask = self
         if place not in gained or not terms:
             return
-        gain = gained.pop(place)
+        gain, is_of_choice = gained.pop(place), place in gained.of_choices
         if mask is not None:
             (_, first), (_, second) = terms
             if first >= 0:
-                gained.add(first, where(mask, gain, 0.0))
+                gained.add(first, where(mask, gain, 0.0), True)
             if second >= 0:
-                gained.add(second, where(mask, 0.0, gain))
+                gained.add(second, where(mask, 0.0, gain), True)
             return
         for factor, x in terms:
             if factor is None:
-                gained.add(x, gain)
-            elif x in gained:
-                gained[x] = fma(factor, gain, gained[x])
-            else:
-                gained.add(x, factor * gain)
+                gained.add(x, gain, is_of_choice)
+                continue
+            more = fma(factor, gain, gained[x]) if x in gained else factor * gain
+            if is_of_choice and type(factor) is not float:  # which may be infinite or NaN
+                more = where(gain == 0.0, gained.get(x, 0.0), more)
+            gained.put(x, more, is_of_choice)
 
 
 class Tape:
