@@ -181,7 +181,9 @@ def gains_of(
     times, inputs = ready.times, ready.inputs
     if isinstance(times, StepClock):
         engine.check_starts(ready.plan, inputs, times, threads, check)
-        ends = np.array([[time_of(times, k)] for k in range(times.steps + 1)])
+        numbers = 3 * (times.steps + 1)  # with those that NumPy makes on the way
+        require_memory(8 * numbers, "the ends of all steps", "take fewer steps")
+        ends = time_of(times, np.arange(times.steps + 1))[:, None]
         ended_by = np.zeros((0, 0))
     else:
         ends, ended_by = _noted(ready, threads, progress, check)

@@ -156,3 +156,11 @@ def test_what_is_not_chosen_may_have_no_derivative(solver, options):
     assert 0 < np.count_nonzero(found["lower.above.pull"]) < 3
     for name in names:
         assert found[name] == pytest.approx(forwards.sensitivity("swing", name), abs=1e-12)
+
+
+@pytest.mark.slow
+def test_more_steps_than_fit_into_memory_are_refused_at_once():
+    mechanism = chain()
+    run = swung(mechanism) | {"dt": 1e-9, "t_end": 1e3, "method": "RK4", "solver": "looped"}
+    with pytest.raises(lierb.errors.MemoryLimitError, match="the ends of all steps"):
+        lierb.gradient(mechanism, "swing", "gravity", **run)
