@@ -33,7 +33,7 @@ from matplotlib.figure import Figure  # noqa: E402
 from matplotlib.lines import Line2D  # noqa: E402
 
 from lierb.results.colours import COLOURS  # noqa: E402
-from lierb.results.panels import mark_of, positive  # noqa: E402
+from lierb.results.panels import draw_band, mark_of, positive  # noqa: E402
 from lierb.results.plots import STYLE, ShownFigure  # noqa: E402
 
 MOST_LINES = 6  # most trajectories drawn one by one; for more, quantiles are drawn
@@ -242,9 +242,7 @@ def _draw_bands(axes: Axes, t: Array, values: Array, colour: str, is_error: bool
         most = np.nanmax(values, axis=1)
     if is_error:
         low, median, high, most = positive((low, median, high, most), 0.0)
-    mark = mark_of(median)
-    axes.plot(t, median, marker=mark, color=colour, linewidth=1.3)
-    axes.fill_between(t, low, high, color=colour, alpha=0.2, linewidth=4 if mark else 0)
+    draw_band(axes, t, low, median, high, 0.2, color=colour, linewidth=1.3)
     if is_error:
         axes.plot(t, most, marker=mark_of(most), markersize=3, color=colour, linewidth=0.5)
 

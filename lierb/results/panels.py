@@ -136,6 +136,19 @@ def mark_of(line: Array) -> str | None:
     return "o" if np.isfinite(line).sum() == 1 else None
 
 
+def draw_band(
+    panel: Axes, times: Array, low: Array, median: Array, high: Array, alpha: float, **look: Any
+) -> None:
+    """Draw a median and a band about it; if there is one number, as a dot and a bar.
+
+    alpha : opacity of the band.   look : of the median.
+    """
+    mark = mark_of(median)
+    panel.plot(times, median, marker=mark, **look)
+    width = 4 if mark else 0
+    panel.fill_between(times, low, high, color=look["color"], alpha=alpha, linewidth=width)
+
+
 def log_axes(panel: Axes, axes: str, zeros: Sequence[str] = (), why: str = NO_BODY) -> None:
     """Make axes logarithmic with few ticks; write the reason if nothing is drawn.
 

@@ -64,9 +64,7 @@ def marked(body: Any) -> Any:
 
 def with_all_marked(numbers: Any) -> Any:
     """Mark all numbers that are no constants."""
-    if isinstance(numbers, tuple):
-        return alike(numbers, map(with_all_marked, numbers))
-    return numbers if is_constant(numbers) else Dual(numbers, MARK)
+    return refilled(numbers, (x if is_constant(x) else Dual(x, MARK) for x in flatten(numbers)))
 
 
 def opened_body(tape: Tape, body: Any) -> Any:

@@ -173,7 +173,10 @@ def stepped(plan: AnyPlan, body: Any, held: Held, at: Interval) -> Held:
 
 
 def _chosen(mask: Any, a: Any, b: Any) -> Any:
-    """Return `where`, of which a tape records a sum: a whole step is no choice."""
+    """Return `where`, which a tape records as a sum.
+
+    After a choice, each operation of the step would compare its gain with zero.
+    """
     value = where(mask, value_of(a), value_of(b))
     share = where(mask, 1.0, 0.0 * value_of(a))
     parts = tuple(p * share + q * (1.0 - share) for p, q in side_by_side(a, b))

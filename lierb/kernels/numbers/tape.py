@@ -25,8 +25,9 @@ from lierb.kernels.numbers.zero import ZERO, is_zero
 class Gained(dict[int, Any]):
     """Gains of an objective, by places on a tape.
 
-    of_choices : places of numbers that only choices lead on. Where they are not chosen, their gain
-    is zero, and what they are computed from may be anything: √x where x < 0.
+    of_choices : places of numbers that reach the results through choices alone. Where such a number
+    is not chosen, its gain is zero and its derivatives may be infinite or NaN, as those of √x for
+    x < 0. They are left out.
     """
 
     def __init__(self) -> None:

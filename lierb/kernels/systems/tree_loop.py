@@ -172,8 +172,8 @@ class TreeLoop(LoopGains):
         Their numbers are in the second half of the memory.
         """
         tree, body, state = self._tree(body).values, values(body), values(state)
-        packs, plan = 1 + self.plan.directions, self.plan
-        memory = body.memory + tree[at.MEMORY] * (8 * packs * plan.lanes)
+        plan = self.plan
+        memory = body.memory + tree[at.MEMORY] * (8 * plan.packs * plan.lanes)
         kept = {
             name: completed(plan, x) for name, x in body._asdict().items() if name not in PLACES
         }
@@ -224,4 +224,4 @@ class TreeLoop(LoopGains):
 
     def _carried(self, tree: MemoryTree) -> Index:
         """Return the number of packs of a state and of JOINT_KEPT."""
-        return tree[at.STATE_ROWS] * (1 + self.plan.directions)
+        return tree[at.STATE_ROWS] * self.plan.packs

@@ -55,7 +55,7 @@ class LoopGains(LoopForces):
     def gains_ahead(self, body: LoopBody) -> None:
         """Turn the gains by the state into those by the next state."""
         tree = self._tree(body)
-        now, after = self._pair(tree, tree.gains)
+        now, after = self._states(tree, tree.gains)
 
         def one(i: Index) -> None:
             after.put(i, now[i])
@@ -66,7 +66,7 @@ class LoopGains(LoopForces):
     def go_ahead(self, body: LoopBody) -> None:
         """Make the next state the state."""
         tree = self._tree(body)
-        now, after = self._pair(tree, tree.rows)
+        now, after = self._states(tree, tree.rows)
         for_each(tree[at.STATE], lambda i: now.put(i, after[i]))
 
     def keep(self, body: LoopBody, memory: Any, row: Any) -> None:
@@ -79,10 +79,6 @@ class LoopGains(LoopForces):
         tree = self._tree(body)
         now, lanes = tree.section(at.CHART_ROW), self.plan.lanes
         for_each(tree[at.STATE], lambda i: now.put(i, load(memory, (i + row, 0), lanes)))
-
-    def _pair(self, tree: MemoryTree, rows: Any) -> tuple[Rows, Rows]:
-        first = tree[at.CHART_ROW]
-        return rows(first), rows(first + tree[at.AHEAD])
 
 
 def numbers_of_listed(plan: LoopPlan) -> int:

@@ -267,13 +267,13 @@ class LoopStart(TreeInMemory, CheckedStarts):
     def take_next(self, body: LoopBody, mask: Any) -> None:
         """Make the next state the state where the mask is 1."""
         tree = self._tree(body)
-        now, after = self._states(tree)
+        now, after = self._states(tree, tree.packs)
         for_each(self._packs(tree), lambda i: now.put(i, where(mask > 0.5, after[i], now[i])))
 
     def exchange(self, body: LoopBody) -> None:
         """Exchange the state and the next one."""
         tree = self._tree(body)
-        now, after = self._states(tree)
+        now, after = self._states(tree, tree.packs)
 
         def one(i: Index) -> None:
             first, second = now[i], after[i]
@@ -285,20 +285,20 @@ class LoopStart(TreeInMemory, CheckedStarts):
     def copy_next(self, body: LoopBody, mask: Any, is_back: bool = False) -> None:
         """Copy the next state, or copy it back, where the mask is 1."""
         tree = self._tree(body)
-        _, after = self._states(tree)
+        _, after = self._states(tree, tree.packs)
         pair = after, tree.packs(tree[at.COPY_ROW])
         source, target = reversed(pair) if is_back else pair
         count = self._packs(tree)
         for_each(count, lambda i: target.put(i, where(mask > 0.5, source[i], target[i])))
 
-    def _states(self, tree: MemoryTree) -> tuple[Rows, Rows]:
-        """Return the packs of the state, and of the next one."""
+    def _states(self, tree: MemoryTree, rows: Callable[[Index], Rows]) -> tuple[Rows, Rows]:
+        """Return the rows of the state, and of the next one.   rows : from a number on."""
         first = tree[at.CHART_ROW]
-        return tree.packs(first), tree.packs(first + tree[at.AHEAD])
+        return rows(first), rows(first + tree[at.AHEAD])
 
     def _packs(self, tree: MemoryTree) -> Index:
         """Return the number of packs of a state."""
-        return tree[at.STATE] * (1 + self.plan.directions)
+        return tree[at.STATE] * self.plan.packs
 
 
 def _joint_of(connection: MemoryConnection, numbers: Numbers) -> dict[str, Vec]:

@@ -270,7 +270,7 @@ class MemoryTree:
 
     def packs(self, first: Index) -> Rows:
         """Rows from `first` on, each pack of which is a row."""
-        return Rows(self.memory, self.plan.lanes, first * (1 + self.plan.directions))
+        return Rows(self.memory, self.plan.lanes, first * self.plan.packs)
 
     def section(self, name: int) -> Rows:
         return self.rows(self[name])

@@ -61,7 +61,8 @@ class MemoryTape(Tape):
     def note(self, do: Callable[..., None], run: Emit, back: Emit | None = None) -> None:
         """Note a loop or a switch.
 
-        do : its code.   run : emits it around some code.   back : likewise, in reversed order.
+        do : the code inside.   run : function that emits the loop or switch around some code.
+        back : the same, for a loop with its turns in reversed order.
         """
         self.note_code(_Code(self, do, run, back or run))
 

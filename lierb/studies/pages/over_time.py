@@ -13,9 +13,9 @@ from lierb.results.panels import (
     MOST_KEYS,
     NO_TIMES,
     Sheet,
+    draw_band,
     label_lines,
     log_axes,
-    mark_of,
     positive,
 )
 from lierb.studies.findings.occurrences import event_names, first_times
@@ -72,11 +72,9 @@ def _draw_errors(
             continue
         low, median, high, most = positive(bands, least)
         colour, dash = look.key.colour, look.key.dash
-        mark = mark_of(median)
-        panel.plot(times, median, marker=mark, color=colour, linestyle=dash, linewidth=look.width)
         bottom = np.where(np.isnan(low), np.nanmin(positive(bands, least)), low)
-        width = 4 if mark else 0
-        panel.fill_between(times, bottom, high, color=colour, alpha=0.18, linewidth=width)
+        style = {"color": colour, "linestyle": dash, "linewidth": look.width}
+        draw_band(panel, times, bottom, median, high, 0.18, **style)
         panel.plot(times, most, color=colour, linestyle=dash, linewidth=0.6, alpha=0.8)
         ends.append((look.key.label, colour, *_end(times, median if np.isfinite(median).any()
                                                    else most)))  # fmt: skip
@@ -95,11 +93,9 @@ def _draw_column(dataset: Results, shown: list[Look], name: str, label: str, pan
         low, median, high, _ = bands
         if not np.isfinite(median).any():
             continue
-        mark = mark_of(median)
-        panel.plot(times, median, marker=mark, color=look.key.colour, linestyle=look.key.dash,
-                   linewidth=look.width)  # fmt: skip
-        width = 4 if mark else 0
-        panel.fill_between(times, low, high, color=look.key.colour, alpha=0.15, linewidth=width)
+        colour, dash = look.key.colour, look.key.dash
+        style = {"color": colour, "linestyle": dash, "linewidth": look.width}
+        draw_band(panel, times, low, median, high, 0.15, **style)
         ends.append((look.key.label, look.key.colour, *_end(times, median)))
     panel.set_ylabel(label, parse_math=False)
     panel.set_xlabel("time [s]")
